@@ -306,6 +306,7 @@ class Controller(eqx.Module):
         first: Float[Array, ""],
         state: ControllerState,
     ) -> ControlledPiece:
+        """Return `follow`, the time step T in seconds, instant of row 0 in rows."""
         count, back = commands.shape[0] - state.ahead, state.before.shape[0]
         known = jnp.concatenate([state.before, commands])
         start = known[:1]
@@ -336,12 +337,12 @@ class Controller(eqx.Module):
         time_step: RealScalarLike,
         first: Float[Array, ""],
     ) -> Float[Array, "step joint ..."]:
-        """Return what the motors do at instants of which the first is not 0 [s]."""
+        """Return what the motors do at instants that begin at some time [s]."""
         T = jnp.asarray(time_step, commands.dtype)
         return self._in(T.dtype)._responded(commands, T, first.astype(T.dtype) / T)
 
     def _in(self, dtype: jnp.dtype) -> "Controller":
-        """Return the controller with its numbers as arrays, which compile nothing."""
+        """Return the controller with arrays of numbers: others compile nothing new."""
         return jax.tree.map(lambda x: jnp.asarray(x, dtype), self)
 
     @eqx.filter_jit
@@ -351,6 +352,7 @@ class Controller(eqx.Module):
         T: Float[Array, ""],
         first: Float[Array, ""],
     ) -> Float[Array, "step joint ..."]:
+        """Return `_respond`, the time step T in seconds, the first instant in rows."""
         # From where it starts, so that no digits are lost in integrals over the time.
         start = commands[:1]
         signal = Signal(commands - start, T)

@@ -45,6 +45,7 @@ class Instants(NamedTuple):
         return _held(lambda at: at._shares(turns), self)
 
     def _shares(self, turns: Float[Array, ""]) -> Float[Array, " instant"]:
+        """Return them, computed anew wherever XLA uses them."""
         share = self.rest * turns
         for unit in (1, _DIGIT, _DIGIT**2):
             digit = self.row // unit
@@ -86,7 +87,7 @@ class Signal(eqx.Module):
         rows: The rows; the first is zero, shape (step, joint) or more.
         time_step: Time between them T [s].
         first: Row of the path that is the first of them, shape ().
-        sums: Integral up to each row over T, same shape as the rows each.
+        sums: Integral up to each row, divided by T; two arrays of the rows' shape.
     """
 
     rows: Float[Array, "step joint ..."]
@@ -120,7 +121,7 @@ class Signal(eqx.Module):
         return (between.value + (between.rest + inside)) / span
 
     def _inside(self, place: _Place) -> Float[Array, "instant joint ..."]:
-        """Return the integral over T behind the row before an instant."""
+        """Return the integral from the row before an instant up to it, divided by T."""
         start = self.rows[place.row]
         inside = shared(place.share, start) + shared(
             place.share**2 / 2, self.rows[place.row + 1] - start
@@ -132,6 +133,7 @@ class Signal(eqx.Module):
         return _held(self._place_anew, at)
 
     def _place_anew(self, at: Instants) -> _Place:
+        """Return them, computed anew wherever XLA uses them."""
         last = self.rows.shape[0] - 1
         rest = jnp.clip(at.rest, -_FAR_ROWS, _FAR_ROWS)
         whole = jnp.floor(rest)
