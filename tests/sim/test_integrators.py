@@ -179,6 +179,35 @@ def test_terms_of_the_middle_come_from_the_rule_asked_for():
     )
 
 
+def test_derivatives_of_a_swing_by_all_that_the_middle_follows():
+    # Where the terms are held for a while, the place for which they hold depends on
+    # masses and springs too, through the matrix of the step that foretells it.
+    arm, theta = planar_arm(), jnp.array([0.3, 0.2])
+
+    @jax.jit
+    def end(scales):
+        of = lambda arm: (arm.link_masses, arm.joint_stiffness, arm.joint_damping)
+        scaled = tuple(x * (1 + s) for x, s in zip(of(arm), scales[:3], strict=True))
+        moved = eqx.tree_at(of, arm, scaled)
+        start = sim.ArmState(
+            jnp.array([0.9, -0.4]) + scales[3], jnp.array([1.0, -2.0]) + scales[4]
+        )
+        swung = sim.free_motion(moved, start, theta, STEP, 20, held=SUBSTEPS)
+        return jnp.concatenate([swung.joint_positions[-1], swung.joint_velocities[-1]])
+
+    at = jnp.zeros(5)
+    forward = jax.jit(jax.jacfwd(end))(at)
+    back = jax.jit(jax.jacrev(end))(at)
+    np.testing.assert_allclose(back, forward, rtol=0, atol=1e-11)
+    h = 1e-5
+    by_differences = jnp.stack(
+        [(end(h * way) - end(-h * way)) / (2 * h) for way in jnp.eye(5)], axis=1
+    )
+    error = np.abs(forward - by_differences).max(axis=0)
+    size = np.abs(forward).max(axis=0)
+    assert np.all(error < 1e-7 * size)
+
+
 def test_single_precision_stays_single():
     robot = jax.tree.map(
         lambda x: x.astype(jnp.float32) if eqx.is_array(x) else x, planar_arm()

@@ -210,7 +210,9 @@ def joint_problem(
     from ...robot import jacobian
 
     nominal, _ = JobKinematics(job).joints(jnp.asarray(tips.desired))
-    J = np.asarray(jacobian(job.robot, nominal[0]))[:3]  # pyright: ignore[reportArgumentType]
+    robot = job.robot
+    assert robot is not None
+    J = np.asarray(jacobian(robot, nominal[0]))[:3, list(robot.motor_joints)]
     lever = np.linalg.norm(J, axis=0).max()
     plant = JointPlant(job, adjoint, before.wall_share, before.rigid)
     weights = np.asarray(tips.is_cutting)

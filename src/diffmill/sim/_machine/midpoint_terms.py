@@ -54,13 +54,11 @@ def middle_terms(
     Returns:
         The terms; of second order in the span.
 
-    **Differentiability**: as the rule; what it prepares of the terms is constant.
+    **Differentiability**: as the rule.
     """
     count = integrator.steps_to_middle(span.substeps)
     h, rest = span.duration / 2 / count, jnp.zeros_like(state.v)
-    # Where the middle is follows the state and the drives; that the half step's own
-    # matrix changes with them too is of higher order than the step itself.
-    begun = jax.lax.stop_gradient(integrator.begin(robot, terms, h))
+    begun = integrator.begin(robot, terms, h)
 
     def step(state: ArmState, after: Float[Array, ""]) -> tuple[ArmState, None]:
         command = MotorCommand(motors.position + after * motors.rate, motors.rate)
