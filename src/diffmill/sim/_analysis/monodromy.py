@@ -20,7 +20,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Complex, Float, Int
+from jaxtyping import Complex, Float, Int, Shaped
 
 # Larger maps are left to Arnoldi's method, with so many vectors.
 _DENSE, _KRYLOV = 100, 40
@@ -86,13 +86,25 @@ class Step:
 class PeriodMap(NamedTuple):
     """One tooth period as a map of the arm's state and the tips before, newest first.
 
+    The tips before are those at its steps. What is known of a tip stays as it is, so
+    that only what the period adds is kept.
+
     Attributes:
-        matrix: The map, the tips being those at the steps before, shape (all, all).
-        tips: The tips of the period as maps of the same, shape (step, 3, all).
+        state: The arm's state at the end, shape (state, all).
+        tips: The tips of the period, shape (step, 3, all).
+        axes: Those along which tips before count.
     """
 
-    matrix: Float[np.ndarray, "all all"]
+    state: Float[np.ndarray, "state all"]
     tips: Float[np.ndarray, "step 3 all"]
+    axes: Int[np.ndarray, " axis"]
+
+    def apply(self, x: Shaped[np.ndarray, "all ..."]) -> np.ndarray:
+        """Return what becomes of states with their tips before."""
+        added = np.tensordot(self.tips, x, 1)[::-1, self.axes]
+        added = added.reshape(-1, *x.shape[1:])
+        known = x[len(self.state) :]
+        return np.concatenate([self.state @ x, added, known])[: len(x)]
 
 
 def monodromy(
@@ -159,8 +171,7 @@ def _period_map(
         stiff = np.eye(3) - C @ step.W_1 @ slopes.now[k]
         now = np.linalg.solve(stiff, C @ X)
         X = X + step.W_1 @ (slopes.now[k] @ now)
-    last = table[count : longest + count][::-1].reshape(-1, len(start))
-    return PeriodMap(np.concatenate([X, last]), tips)
+    return PeriodMap(X, tips, axes)
 
 
 class Vibration(NamedTuple):
@@ -179,11 +190,11 @@ class Vibration(NamedTuple):
 
 def strongest(periods: Sequence[PeriodMap], tooth_period: float) -> Vibration:
     """Return the strongest vibration of periods that repeat themselves."""
-    value, vector = _largest([period.matrix for period in periods])
+    value, vector = _largest(periods)
     tips = []
     for period in periods:
         tips.append(period.tips @ vector)
-        vector = period.matrix @ vector
+        vector = period.apply(vector)
     tips, turn = np.concatenate(tips), np.angle(value)
     count = len(tips)
     # Within the periods the vibration is exp(s t) times a periodic motion, whose
@@ -201,24 +212,20 @@ def strongest(periods: Sequence[PeriodMap], tooth_period: float) -> Vibration:
 
 
 def _largest(
-    matrices: Sequence[Float[np.ndarray, "all all"]],
+    periods: Sequence[PeriodMap],
 ) -> tuple[complex, Complex[np.ndarray, " all"]]:
-    """Return the eigenvalue of largest magnitude of a product, and its vector.
-
-    Args:
-        matrices: The factors, the first one to act first.
-    """
+    """Return the eigenvalue of largest magnitude of all periods, and its vector."""
     from scipy.sparse import linalg
 
     # Whose types know nothing of a function as an operator.
     sparse: Any = linalg
 
     def product(x: np.ndarray) -> np.ndarray:
-        for matrix in matrices:
-            x = matrix @ x
+        for period in periods:
+            x = period.apply(x)
         return x
 
-    size = len(matrices[0])
+    size = periods[0].state.shape[1]
     if size > _DENSE:
         whole = sparse.LinearOperator((size, size), matvec=product, dtype=float)
         start = np.ones(size)
