@@ -226,9 +226,9 @@ def _candidate(
     """
     matrix, seen = one.matrix, one.seen
     recorded = force @ matrix.T
-    gram = np.einsum("tac,tad->cd", basis, basis)
-    right = np.einsum("ta,tac->c", recorded, basis)
-    solution = np.linalg.pinv(gram, rcond=1e-9, hermitian=True) @ right
+    flat = basis.reshape(-1, basis.shape[2])
+    right = recorded.reshape(-1) @ flat
+    solution = np.linalg.pinv(flat.T @ flat, rcond=1e-9, hermitian=True) @ right
     fitted = basis @ solution
     residual = float(np.linalg.norm(recorded - fitted) / np.linalg.norm(recorded))
     phase = np.full(3, np.nan)
