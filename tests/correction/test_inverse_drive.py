@@ -48,6 +48,38 @@ def test_the_deflection_without_damping_is_the_static_one():
     np.testing.assert_allclose(found[:-1], expected, rtol=1e-13)
 
 
+@pytest.mark.parametrize(
+    ("stiffness", "damping", "time_step"),
+    [
+        (2.0, 0.5, 0.3),
+        (2.0, 0.5, math.inf),
+        (2.0, 0.0, 0.3),
+        (2.0, 0.0, math.inf),
+        (math.inf, 0.5, 0.3),
+    ],
+)
+def test_derivatives_of_the_deflection(stiffness, damping, time_step):
+    means = np.random.default_rng(0).normal(size=10)
+
+    def total(K, D, T):
+        robot = dataclasses.replace(
+            slide(2.0, 0.5), joint_stiffness=K[None], joint_damping=D[None]
+        )
+        return jnp.sum(deflection(robot, means, T) ** 2)
+
+    K, D = jnp.asarray(stiffness), jnp.asarray(damping)
+    by_K, by_D = jax.grad(total, argnums=(0, 1))(K, D, time_step)
+    h = 1e-6
+    if math.isfinite(stiffness):
+        ahead, behind = (total(K + s, D, time_step) for s in (h, -h))
+        np.testing.assert_allclose(by_K, (ahead - behind) / (2 * h), rtol=1e-6)
+    else:
+        assert by_K == 0
+    if damping:
+        ahead, behind = (total(K, D + s, time_step) for s in (h, -h))
+        np.testing.assert_allclose(by_D, (ahead - behind) / (2 * h), atol=1e-8)
+
+
 def test_the_force_of_inertia_converges_with_the_square_of_the_step():
     errors = []
     for count in (100, 200):

@@ -118,6 +118,24 @@ def test_springs_at_the_flange_act_on_their_levers(arm, sprung):
     assert_allclose(np.diag(more), np.asarray(wanted, float), rtol=1e-9)
 
 
+def test_a_spring_that_turns_nothing_has_derivatives(arm):
+    def dampers(factor):
+        spindle = dr.FlangeSpring(
+            10.0,
+            (0.0, 0.0, 0.1),
+            (0.1, 0.1, 0.0),
+            rotary_stiffness=tuple(factor * 1e6),
+            is_in_link=False,
+        )
+        return spindle.mounted_on(arm).joint_damping[-3:]
+
+    at = jnp.ones(3)
+    slope = jax.jacfwd(dampers)(at)
+    # A root of the stiffness: half of the damper; none about the spindle's own axis.
+    assert_allclose(slope, np.diag(dampers(at) / 2), rtol=1e-12)
+    assert dampers(at)[0] > 0 and dampers(at)[2] == 0
+
+
 def test_the_spindle_moves_behind_the_springs_and_is_not_counted_twice(arm, sprung):
     q = np.linspace(0.1, 0.6, 6)
     M = np.asarray(dr.mass_matrix(sprung, padded(sprung, q)))

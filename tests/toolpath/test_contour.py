@@ -128,6 +128,19 @@ def test_derivatives_against_finite_differences(with_desired):
     np.testing.assert_allclose(forward, jax.grad(scalar)(zero), rtol=1e-12)
 
 
+@pytest.mark.parametrize("beside", [0.0, 1e-5])
+def test_derivatives_at_the_rows_themselves(beside):
+    # Of a straight path: along it a tip is never late, across it the whole way counts.
+    desired = jnp.asarray(np.arange(8.0)[:, None] * np.array([[1e-3, 0.0, 0.0]]))
+    actual = desired + jnp.array([[0.0, beside, 0.0]])
+    for way, wanted in ((0, 0.0), (1, 1.0), (2, 1.0)):
+        moved = jnp.zeros_like(actual).at[:, way].set(1.0)
+        change = jax.jvp(lambda x: contour_vector(x, desired), (actual,), (moved,))[1]
+        expected = np.zeros((8, 3))
+        expected[:, way] = wanted
+        np.testing.assert_allclose(change[1:-1], expected[1:-1], atol=1e-12)
+
+
 def test_float32_and_vmap():
     desired = jnp.asarray(wave(), jnp.float32)
     lift = jnp.asarray([[[0, 0, 1e-4]], [[0, 0, 2e-4]]], jnp.float32)

@@ -97,7 +97,9 @@ def _from_segment(
     fraction = jnp.sum((point - start) * along, axis=1) / jnp.where(
         is_segment, square, 1.0
     )
-    fraction = jnp.clip(fraction, 0.0, 1.0)
+    # Beside a vertex, as every tip of the desired path is, the slope is that of the
+    # segment; `jnp.clip` would halve it there.
+    fraction = jnp.where(fraction < 0, 0.0, jnp.where(fraction > 1, 1.0, fraction))
     return point - start - fraction[:, None] * along
 
 

@@ -185,12 +185,13 @@ def _spring_deflection(
     # symbols: K stiffness, D damping, T time step, E decay over a step, s slope
     K, D = joint_stiffness, joint_damping
     T = jnp.asarray(time_step, joint_torques.dtype)
-    is_damped = D > 0
-    safe = jnp.where(is_damped, D, 1)
-    E = jnp.where(is_damped, jnp.exp(-K * T / safe), 0)
+    # Where nothing is left after a step, how little follows nothing.
+    is_slow = (D > 0) & jnp.isfinite(K) & jnp.isfinite(T)
+    held = lambda x: jnp.where(is_slow, x, 1)
+    E = jnp.where(is_slow, jnp.exp(-held(K) * held(T) / held(D)), 0)
 
     static = joint_torques / K[None]
-    lag = jnp.diff(joint_torques, axis=0) / T * (D / K**2)[None]
+    lag = jnp.diff(joint_torques, axis=0) / T * (D / K / K)[None]
     # What a step adds to the decayed deflection.
     added = static[1:] - lag - E[None] * (static[:-1] - lag)
 

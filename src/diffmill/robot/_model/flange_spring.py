@@ -77,7 +77,8 @@ class FlangeSpring(eqx.Module):
             ValueError: If the robot has such a spring already, or its last link is
                 lighter than the spindle that it should hold.
 
-        **Differentiability**: smooth in robot and spring.
+        **Differentiability**: smooth in robot and spring; by what a spring moves only
+        where that is something.
         """
         dtype = robot.dtype
         m = jnp.asarray(self.mass, dtype)
@@ -95,7 +96,10 @@ class FlangeSpring(eqx.Module):
             if values is None:
                 continue
             K = jnp.asarray(values, dtype)
-            D = 2 * zeta * jnp.sqrt(K * masses)
+            # What moves nothing has no damper, and no root to be differentiated.
+            is_moved = masses > 0
+            root = jnp.sqrt(K * jnp.where(is_moved, masses, 1))
+            D = 2 * zeta * jnp.where(is_moved, root, 0)
             springs += [
                 Spring(K[i], D[i], prefix + _AXES[i], kind, i) for i in range(3)
             ]

@@ -54,7 +54,7 @@ def middle_terms(
     Returns:
         The terms; of second order in the span.
 
-    **Differentiability**: as the rule.
+    **Differentiability**: as the rule and the drive's options.
     """
     count = integrator.steps_to_middle(span.substeps)
     h, rest = span.duration / 2 / count, jnp.zeros_like(state.v)
