@@ -161,6 +161,20 @@ FILTERS: dict = {
 SERVOS: dict = {"bandwidth": np.array([10.0, 4.0]), "damping_ratio": 0.7}
 
 
+def in_pieces(controller, rows, hop):
+    """Return the motors of a path that is gone through piece by piece."""
+    before, ahead = controller.span(STEP)
+    state, found = controller.begin(rows[: ahead + 1], STEP, before, ahead), []
+    once = eqx.debug.assert_max_traces(max_traces=1)
+    follow = eqx.filter_jit(once(lambda x, state: controller.follow(x, STEP, state)))
+    for first in range(0, len(rows), hop):
+        # The command stands still behind the path.
+        at = np.minimum(np.arange(first, first + hop + 1 + ahead), len(rows) - 1)
+        piece, state = follow(rows[at], state)
+        found.append(piece[:-1])
+    return np.concatenate(found)[: len(rows)]
+
+
 @pytest.mark.parametrize(
     ("parts", "span"),
     [
@@ -181,18 +195,8 @@ def test_pieces_one_after_another_are_the_whole_path(parts, span):
     rows = jnp.asarray(1.0 + 5e-5 * np.cumsum(np.cumsum(noise, axis=0), axis=0))
     whole = controller.motors(rows, STEP)
     assert parts.keys() <= {"dead_time"} or np.abs(whole - rows).max() > 1e-3
-    before, ahead = controller.span(STEP)
-    assert span is None or (before, ahead) == span
-    state = controller.begin(rows[: ahead + 1], STEP, before, ahead)
-    once = eqx.debug.assert_max_traces(max_traces=1)
-    follow = eqx.filter_jit(once(lambda x, state: controller.follow(x, STEP, state)))
-    found = []
-    for first in range(0, count, hop):
-        # The command stands still behind the path.
-        at = np.minimum(np.arange(first, first + hop + 1 + ahead), count - 1)
-        piece, state = follow(rows[at], state)
-        found.append(piece[:-1])
-    np.testing.assert_allclose(np.concatenate(found)[:count], whole, atol=1e-13)
+    assert span is None or controller.span(STEP) == span
+    np.testing.assert_allclose(in_pieces(controller, rows, hop), whole, atol=1e-13)
 
 
 @pytest.mark.parametrize(
@@ -218,16 +222,10 @@ def test_single_precision_is_held_on_a_long_path(parts):
     with jax.enable_x64(False):
         controller, rows = Controller(**parts), jnp.asarray(rows)
         found = jax.jit(lambda x: controller.motors(x, STEP))(rows)
-        before, ahead = controller.span(STEP)
-        state, pieces = controller.begin(rows[: ahead + 1], STEP, before, ahead), []
-        follow = eqx.filter_jit(lambda x, state: controller.follow(x, STEP, state))
-        for first in range(0, count, hop):
-            at = np.minimum(np.arange(first, first + hop + 1 + ahead), count - 1)
-            piece, state = follow(rows[at], state)
-            pieces.append(piece[:-1])
+        pieces = in_pieces(controller, rows, hop)
     assert found.dtype == jnp.float32
     np.testing.assert_allclose(found, wanted, rtol=0, atol=2e-6)
-    np.testing.assert_allclose(np.concatenate(pieces), found, rtol=0, atol=2e-6)
+    np.testing.assert_allclose(pieces, found, rtol=0, atol=2e-6)
 
 
 def test_changes_of_a_piece_are_those_of_the_whole_path():

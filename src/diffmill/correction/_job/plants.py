@@ -209,10 +209,10 @@ def joint_problem(
     """
     from ...robot import jacobian
 
-    nominal, _ = JobKinematics(job).joints(jnp.asarray(tips.desired))
-    robot = job.robot
-    assert robot is not None
-    J = np.asarray(jacobian(robot, nominal[0]))[:3, list(robot.motor_joints)]
+    kinematics = JobKinematics(job)
+    nominal, _ = kinematics.joints(jnp.asarray(tips.desired))
+    motors = list(kinematics.robot.motor_joints)
+    J = np.asarray(jacobian(kinematics.robot, nominal[0]))[:3, motors]
     lever = np.linalg.norm(J, axis=0).max()
     plant = JointPlant(job, adjoint, before.wall_share, before.rigid)
     weights = np.asarray(tips.is_cutting)

@@ -185,10 +185,11 @@ def _spring_deflection(
     # symbols: K stiffness, D damping, T time step, E decay over a step, s slope
     K, D = joint_stiffness, joint_damping
     T = jnp.asarray(time_step, joint_torques.dtype)
-    # Where nothing is left after a step, how little follows nothing.
-    is_slow = (D > 0) & jnp.isfinite(K) & jnp.isfinite(T)
-    held = lambda x: jnp.where(is_slow, x, 1)
-    E = jnp.where(is_slow, jnp.exp(-held(K) * held(T) / held(D)), 0)
+    # An undamped or rigid spring, or a step without end, leaves nothing of the
+    # deflection before, and no derivative: exp(-inf) would make that NaN.
+    has_decay = (D > 0) & jnp.isfinite(K) & jnp.isfinite(T)
+    safe = lambda x: jnp.where(has_decay, x, 1)
+    E = jnp.where(has_decay, jnp.exp(-safe(K) * safe(T) / safe(D)), 0)
 
     static = joint_torques / K[None]
     lag = jnp.diff(joint_torques, axis=0) / T * (D / K / K)[None]

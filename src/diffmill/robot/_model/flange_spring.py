@@ -77,8 +77,8 @@ class FlangeSpring(eqx.Module):
             ValueError: If the robot has such a spring already, or its last link is
                 lighter than the spindle that it should hold.
 
-        **Differentiability**: smooth in robot and spring; by what a spring moves only
-        where that is something.
+        **Differentiability**: smooth in robot and spring; in mass and inertia where
+        every spring moves some of it.
         """
         dtype = robot.dtype
         m = jnp.asarray(self.mass, dtype)
@@ -96,7 +96,7 @@ class FlangeSpring(eqx.Module):
             if values is None:
                 continue
             K = jnp.asarray(values, dtype)
-            # What moves nothing has no damper, and no root to be differentiated.
+            # A spring that moves nothing has no damper; the root's slope is infinite.
             is_moved = masses > 0
             root = jnp.sqrt(K * jnp.where(is_moved, masses, 1))
             D = 2 * zeta * jnp.where(is_moved, root, 0)

@@ -20,7 +20,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Complex, Float, Int, Shaped
+from jaxtyping import Complex, Float, Inexact, Int
 
 # Larger maps are left to Arnoldi's method, with so many vectors.
 _DENSE, _KRYLOV = 100, 40
@@ -86,21 +86,20 @@ class Step:
 class PeriodMap(NamedTuple):
     """One tooth period as a map of the arm's state and the tips before, newest first.
 
-    The tips before are those at its steps. What is known of a tip stays as it is, so
-    that only what the period adds is kept.
+    Tips that are known already only move on by a period: they need no rows here.
 
     Attributes:
         state: The arm's state at the end, shape (state, all).
         tips: The tips of the period, shape (step, 3, all).
-        axes: Those along which tips before count.
+        axes: The axes along which tips before are kept.
     """
 
     state: Float[np.ndarray, "state all"]
     tips: Float[np.ndarray, "step 3 all"]
     axes: Int[np.ndarray, " axis"]
 
-    def apply(self, x: Shaped[np.ndarray, "all ..."]) -> np.ndarray:
-        """Return what becomes of states with their tips before."""
+    def apply(self, x: Inexact[np.ndarray, "all ..."]) -> np.ndarray:
+        """Return state and tips before at the end, from those at the start."""
         added = np.tensordot(self.tips, x, 1)[::-1, self.axes]
         added = added.reshape(-1, *x.shape[1:])
         known = x[len(self.state) :]
