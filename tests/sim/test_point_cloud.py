@@ -175,7 +175,8 @@ def test_a_gap_within_an_arc_counts_as_material():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("y", [6e-3, -2.3e-3])
-def test_both_models_leave_the_same_stock(y):
+def test_both_models_leave_the_same_stock_but_for_the_bow_of_a_tooth_mark(y):
+    """The cloud takes whole circles; a tooth that moves on as it turns bows by r w."""
     path = straight(y, 1.07e-3, steps=STEPS)
     cloud, circles = (compiled(c)(path, STOCK) for c in ("point_cloud", "near_far"))
     total = [np.sum(s.removed_volume) for s in (cloud, circles)]
@@ -183,8 +184,12 @@ def test_both_models_leave_the_same_stock(y):
     np.testing.assert_allclose(
         total[0], STOCK.volume() - cloud.stock.volume(), rtol=1e-12
     )
-    for found, wanted in zip(cloud.stock.families, circles.stock.families, strict=True):
-        np.testing.assert_array_equal(found.ends, wanted.ends)
+    ends = [[np.asarray(f.ends) for f in s.stock.families] for s in (cloud, circles)]
+    np.testing.assert_array_equal(ends[0][2], ends[1][2])
+    # Mark x^2 / (2 R) of a circle; a trochoid's is flatter or steeper by feed over rim.
+    mark = FEED**2 / (8 * R) * 2 * (2 * FEED / (2 * math.pi * R))
+    apart = [np.abs(found - wanted).max() for found, wanted in zip(*ends, strict=True)]
+    assert 0.8 * mark < max(apart) < 1.1 * mark
 
 
 @pytest.mark.slow
