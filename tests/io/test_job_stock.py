@@ -215,3 +215,12 @@ def test_a_rapid_move_through_a_mesh_is_found(write):
     text = PROGRAM.replace("G1 X20 F3000", "G0 X3").replace("G0 Z1\nM2", "M2")
     file.with_name("part.ngc").write_text(text)
     assert load_job(write('mesh = "part.stl"\n' + SPACING)).stock.top == 0
+
+
+@pytest.mark.parametrize(("diameter", "count"), [("10 mm", 0), ("10 m", 1)])
+def test_a_cutter_larger_than_all_its_stock_is_told(write, diameter, count):
+    file = write(BOX + SPACING)
+    file.write_text(file.read_text().replace("10 mm", diameter, 1))
+    told = [note for note in load_job(file).notes if "10000 mm" in note]
+    assert len(told) == count
+    assert all("x 0 to 20, y 0 to 10, z -3 to 0 mm" in note for note in told)

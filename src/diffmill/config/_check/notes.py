@@ -28,6 +28,13 @@ def notes(stock: StockPlan, path: Path, cutter: AbstractCutter) -> tuple[str, ..
             f"[stock] spacing is {stock.spacing * 1e3:g} mm; above 0.05 of the radius "
             f"({coarse * 1e3:g} mm) forces lose accuracy"
         )
+    diameter = 2 * cutter.nominal_radius
+    if diameter > max(stock.upper - stock.lower):
+        spans = _span_mm(np.array([stock.lower, stock.upper]))
+        notes.append(
+            f"the cutter's diameter of {diameter * 1e3:g} mm is larger than the whole "
+            f"stock, {spans}"
+        )
     depth = immersion(path, cutter, stock)
     if depth > cutter.flute_length:
         notes.append(
