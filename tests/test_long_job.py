@@ -12,7 +12,8 @@ import pytest
 import xarray
 from slides_job import write_slides_job
 
-from diffmill import io
+from diffmill import correction, io
+from diffmill.cli import main
 
 SETTINGS = (
     "max_steps = 10",
@@ -125,3 +126,20 @@ def test_segments_leave_the_error_that_the_whole_path_leaves(folder):
     # In the same local minimum at a sharp corner: in another much more is left.
     # Along its flat valley error and lag can still be traded for each other.
     assert abs(segments - whole) < 0.03 * whole
+
+
+def test_a_correction_that_is_refused_late_leaves_nothing_in_the_way(
+    tmp_path, monkeypatch, capsys
+):
+    def refuse(job, *, on_checkpoint, **options):
+        on_checkpoint({"method/mirror/command": np.zeros(3)})
+        assert list(tmp_path.glob("*.checkpoint"))
+        raise correction.InfeasibleLimit("`gouge` is too small.")
+
+    write_slides_job(tmp_path, *SETTINGS)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(correction, "correct", refuse)
+    before = sorted(tmp_path.iterdir())
+    assert main(["correct", "job.toml"]) == 2
+    assert "`gouge` is too small" in capsys.readouterr().err
+    assert sorted(tmp_path.iterdir()) == before

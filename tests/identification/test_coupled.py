@@ -160,6 +160,21 @@ def test_one_record_gives_arm_and_cut(precision):
 
 
 @pytest.mark.slow
+def test_a_coefficient_that_pulls_is_fitted_with_its_sign():
+    """The axial force of a right-hand helix is negative."""
+    law = dataclasses.replace(PAPER_LAW, K_ac=-300e6)
+    truth = dataclasses.replace(small(), law=law)
+    seen = np.asarray(sim.simulate(truth).force)
+    job = dataclasses.replace(truth, law=dataclasses.replace(law, K_ac=-200e6))
+    fit = identification.fit_coupled(job, force=seen, fit=["K_ac"])
+    assert fit.parameters["K_ac"] == pytest.approx(-300e6, rel=1e-4)
+    assert fit.standard_errors["K_ac"] >= 0
+    with pytest.raises(ValueError, match="K_ac is 0"):
+        none = dataclasses.replace(job, law=dataclasses.replace(law, K_ac=0.0))
+        identification.fit_coupled(none, force=seen, fit=["K_ac"])
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", [2.0, 0.2, 8.0])
 def test_a_start_that_is_far_off_does_no_harm(factor):
     clean, draw = np.asarray(small_record().deviation), np.random.default_rng(0)

@@ -178,12 +178,14 @@ def test_too_few_slots_are_refused(write):
     )
     two.export(file.with_name("two.stl"))
     text = f'mesh = "two.stl"\nintervals = [8, 8, 1]\n{SPACING}'
-    assert "up to (1, 1, 2) intervals" in " ".join(problems(write(text)))
+    (line,) = problems(write(text))
+    assert line.startswith("[stock] intervals") and "up to (1, 1, 2) intervals" in line
     stock = load_job(write(f'mesh = "two.stl"\n{SPACING}')).stock
     file.with_name("first").mkdir()
     wp.save(stock, file.with_name("first") / "stock.npz")
     text = 'result = "first"\nintervals = [8, 8, 1]\n'
-    assert "up to (1, 1, 2) intervals" in " ".join(problems(write(text)))
+    (line,) = problems(write(text))
+    assert line.startswith("[stock] intervals") and "up to (1, 1, 2) intervals" in line
 
 
 def test_a_damaged_result_is_one_problem(write):

@@ -189,7 +189,7 @@ def _path_files(job: "Job", weight: float, path: "Path") -> dict[str, str]:
 
     name = f"tuned_{weight:g}"
     files = {f"{name}.csv": write_path_csv(path)}
-    if np.allclose(path.axes, [0.0, 0.0, 1.0], rtol=0, atol=1e-9):
+    if path.is_upright:
         header = [f"{job.name}, feed tuned by diffmill", f"weight of time: {weight:g}"]
         files[f"{name}.ngc"] = write_gcode(
             path, header=header, spindle_speed=float(job.spindle_speed)

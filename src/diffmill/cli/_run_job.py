@@ -107,6 +107,11 @@ def run_job(
             outcome = _compute(command, job, progress, checkpoint)
     except SimulationFailed as failure:
         return _keep_failure(folder, job, failure, force=force)
+    except BadInput:
+        # Of no use to the job as it will be, and in its way.
+        if checkpoint is not None:
+            checkpoint.remove()
+        raise
     except KeyboardInterrupt:
         if checkpoint is None or not checkpoint.file.exists():
             raise

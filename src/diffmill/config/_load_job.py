@@ -61,8 +61,6 @@ _PASSES = 3
 _MOST_STEPS = 1_000_000
 # Of a length that is written down with a few digits.
 _ROUNDING = 1e-6
-# Axes that miss +z by less stand upright: the rim of a tool of 20 mm by 1 um.
-_UPRIGHT = 1e-4
 
 
 def load_job(
@@ -455,7 +453,7 @@ def _assemble(
         bottom_law=bottom_law,
         holder=parts.holder,
         keeps_intervals=block.intervals is not None,
-        output=output.settings(),
+        output=output.settings(is_upright=path.is_upright),
         controller=parts.controller,
         timing=None if parts.timed is None else parts.timed.timing,
         commanded=parts.commanded,
@@ -480,6 +478,8 @@ def _simulation(
     if path is not None and stock is not None:
         deepest = immersion(path, cutter, stock) + _ROOM
     _check_simulation(tables, cutter, deepest, problems)
+    if tables.output is not None and path is not None:
+        tables.output.check_axes(problems, is_upright=path.is_upright)
     if table.bottom_edges and cutter.has_dish and (axes or not cutter.is_plain):
         problems.append(
             "[simulation] bottom_edges: found true, but with dish_angle they are known "
@@ -611,9 +611,8 @@ def _axes(
     """Return the directions of the tool, or none if it stands upright."""
     if path is None:
         return ()
-    axes = np.asarray(path.axes)
-    if not table.tool_tilt and np.all(np.abs(axes - [[0.0, 0.0, 1.0]]) < _UPRIGHT):
+    if not table.tool_tilt and path.is_upright:
         return ()
     # They size arrays: neighbours are one.
-    rows = np.unique(np.round(axes, 2), axis=0)
+    rows = np.unique(np.round(np.asarray(path.axes), 2), axis=0)
     return tuple((float(x), float(y), float(z)) for x, y, z in rows)

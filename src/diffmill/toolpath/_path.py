@@ -21,6 +21,8 @@ from ._turned_axes import LEAST_SUM, turned_axes
 # Above this a path fills the memory with its own rows, and a typing error in a feed is
 # the usual reason.
 MOST_STEPS = 1_000_000
+# Axes that miss +z by less stand upright: the rim of a tool of 20 mm by 1 um.
+_UPRIGHT = 1e-4
 
 
 class Path(eqx.Module):
@@ -73,6 +75,14 @@ class Path(eqx.Module):
             is_rapid=np.zeros(rows, dtype=bool),
             line=np.zeros(rows, dtype=np.int32),
         )
+
+    @property
+    def is_upright(self) -> bool:
+        """Whether the tool axis is +z at every row, to 1e-4.
+
+        **Differentiability**: none.
+        """
+        return bool(np.all(np.abs(np.asarray(self.axes) - [0.0, 0.0, 1.0]) < _UPRIGHT))
 
     def padded(self, row_count: int | None = None) -> "Path":
         """Return the path with rows behind its last one that no simulation runs.

@@ -31,7 +31,15 @@ _LISTED = 8
 # What a recorded path takes of `[program]`, and what it does without: a job keeps its
 # limits while its program is exchanged for a path.
 _OF_PATHS = ("file", "commanded")
-_WITHOUT_EFFECT = ("acceleration", "rapid_feed", "corner_tolerance", "feed")
+_WITHOUT_EFFECT = (
+    "acceleration",
+    "rapid_feed",
+    "corner_tolerance",
+    "feed",
+    "smoothing",
+    "jerk",
+    "joint_ramp",
+)
 # As much as the readers of programs and paths take [byte].
 _LARGEST_FILE = 250_000_000
 

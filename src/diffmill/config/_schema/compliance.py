@@ -112,7 +112,8 @@ def with_spring(
         spring = FlangeSpring(**options, is_in_link=table.in_last_link)
         return spring.mounted_on(robot)
     except ValueError as error:
-        problems.append(f"[robot.flange_spring]: {error}")
+        text = str(error).replace("is_in_link=False", "in_last_link = false")
+        problems.append(f"[robot.flange_spring]: {text}")
         return robot
 
 

@@ -249,9 +249,10 @@ class RobotTable(TomlTable):
 class OutputTable(TomlTable):
     """`[output]`."""
 
-    formats: list[Literal["gcode", "krl", "rapid", "apt"]] = Field(
-        default_factory=lambda: ["gcode"],
-        description="formats of the corrected program",
+    formats: list[Literal["gcode", "krl", "rapid", "apt"]] | None = Field(
+        default=None,
+        description='formats of the corrected program; ["gcode"] if left out, or '
+        '["apt"] if the tool tilts, which G-code of X, Y and Z cannot',
     )
     tolerance: Tolerance = Field(
         default=1e-6,
@@ -277,13 +278,24 @@ class OutputTable(TomlTable):
         "moved",
     )
 
-    def settings(self) -> "OutputSettings":
+    def check_axes(self, problems: list[str], *, is_upright: bool) -> None:
+        """Note a format that cannot say how the tool tilts."""
+        if not is_upright and "gcode" in (self.formats or ()):
+            problems.append(
+                '[output] formats: found "gcode", but the tool tilts, and G-code is '
+                'written with X, Y and Z only; "krl", "rapid" and "apt" are allowed'
+            )
+
+    def settings(self, *, is_upright: bool) -> "OutputSettings":
         """Return the settings of a job."""
         from ..._job import OutputSettings
 
         suffixes = {"gcode": ".ngc", "krl": ".src", "rapid": ".mod", "apt": ".apt"}
+        names = self.formats
+        if names is None:
+            names = ["gcode"] if is_upright else ["apt"]
         return OutputSettings(
-            formats=tuple(suffixes[name] for name in self.formats),
+            formats=tuple(suffixes[name] for name in names),
             tolerance=self.tolerance,
             cycle=self.stream_cycle,
             max_step=self.max_step,
@@ -294,7 +306,7 @@ class OutputTable(TomlTable):
     def notes(self) -> tuple[str, ...]:
         """Return which keys have no effect beside the others."""
         notes = []
-        if self.blocks == "spline" and "krl" not in self.formats:
+        if self.blocks == "spline" and "krl" not in (self.formats or ()):
             notes.append('[output] blocks: without effect, since formats has no "krl"')
         if self.max_step < math.inf and self.stream_cycle == 0:
             notes.append("[output] max_step: without effect, since stream_cycle is 0")

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 from pydantic import Field, StrictFloat, StrictInt, StrictStr
 
-from .fields import Angles3, Frequency, LinearStiffness, Mass, Ratio
+from .fields import Angles3, DampingRatio, Frequency, LinearStiffness, Mass
 from .table import TomlTable
 
 _AXES = ("x", "y", "z")
@@ -24,8 +24,8 @@ class ModeTable(TomlTable):
     frequency: Frequency = Field(
         description='natural frequency of the mode, such as "922 Hz"'
     )
-    damping_ratio: Ratio = Field(
-        description="damping ratio of the mode, below 1, such as 0.02"
+    damping_ratio: DampingRatio = Field(
+        description="damping ratio of the mode, such as 0.02"
     )
     direction: Direction = Field(
         description="direction in which the tip moves, such as [1, 0, 0]; of any length"
@@ -62,11 +62,6 @@ class ModeTable(TomlTable):
             problems.append(
                 f"{place} direction: found {self.direction}, but a direction is "
                 "required, such as [1, 0, 0]"
-            )
-        if not self.damping_ratio < 1:
-            problems.append(
-                f"{place} damping_ratio: found {self.damping_ratio}, but a number from "
-                "0 to less than 1 is required"
             )
 
 

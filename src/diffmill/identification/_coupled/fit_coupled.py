@@ -324,7 +324,7 @@ def _report(
     explained = record.share
     return CoupledFit(
         parameters=_by_name(names, np.where(is_fixed, values, math.nan)),
-        standard_errors=_by_name(names, values * errors[:count]),
+        standard_errors=_by_name(names, np.abs(values) * errors[:count]),
         correlation=correlation,
         covariance=C[:count, :count],
         identifiable=dict(zip(names, is_fixed.tolist(), strict=True)),

@@ -29,10 +29,10 @@ def fitted_names(
     values = parameter_values(job)
     if fit is None:
         usual = _usual_names(values, has_force)
-        fit = [name for name in usual if 0 < values[name] < math.inf]
+        fit = [name for name in usual if _has_scale(values[name])]
         if not fit:
             raise ValueError(
-                "Argument `job` must have a parameter that is positive and finite to "
+                "Argument `job` must have a parameter that is finite and not 0 to "
                 "start from, but has none."
             )
     wanted: list[str] = []
@@ -41,7 +41,7 @@ def fitted_names(
         group = [
             n
             for n, value in values.items()
-            if n == name or (n.startswith(f"{name} ") and 0 < value < math.inf)
+            if n == name or (n.startswith(f"{name} ") and _has_scale(value))
         ]
         if not group:
             raise ValueError(
@@ -49,11 +49,11 @@ def fitted_names(
                 f'"{name}".'
             )
         wanted += group
-    lost = [n for n in wanted if not 0 < values[n] < math.inf]
+    lost = [n for n in wanted if not _has_scale(values[n])]
     if lost:
         raise ValueError(
-            "What is fitted must be positive and finite in the job, where the fit "
-            f"starts, but {lost[0]} is {values[lost[0]]:g}."
+            "What is fitted must be finite and not 0 in the job, where the fit starts, "
+            f"but {lost[0]} is {values[lost[0]]:g}."
         )
     return tuple(dict.fromkeys(wanted))
 
@@ -72,14 +72,19 @@ def kept_note(job: Job, has_force: bool) -> tuple[str, ...]:
     kept = [
         f"{name} is {values[name]:g}"
         for name in _usual_names(values, has_force)
-        if not 0 < values[name] < math.inf
+        if not _has_scale(values[name])
     ]
     if not kept:
         return ()
     return (
-        "Not fitted, since a fit starts from a positive and finite number: in the job "
+        "Not fitted, since a fit starts from a finite number that is not 0: in the job "
         f"{', '.join(kept)}.",
     )
+
+
+def _has_scale(value: float) -> bool:
+    """Return whether a fit can start from a value; it keeps its sign."""
+    return value != 0 and math.isfinite(value)
 
 
 def _usual_names(values: dict[str, float], has_force: bool) -> list[str]:

@@ -163,8 +163,10 @@ class AbstractMachine(eqx.Module):
             The motion, the forces and the final stock.
 
         Differentiability: in the command and all leaves of machine and process, in
-        forward and reverse mode, except at the kinks of chips and rays. Under
-        `ThroughPoses` volumes and the final stock are constants in the command.
+        forward and reverse mode, except at the kinks of chips and rays. When a tooth
+        looks at a place of the stock is a constant, in the pitch too; when it cuts is
+        not. Under `ThroughPoses` volumes and the final stock are constants in the
+        command.
         """
         found = self.run_rows(process, command, row_count)
         return found.ended(found.ending.remove(process))

@@ -44,7 +44,7 @@ def write_gcode(
             does not increase.
     """
     time, positions = np.asarray(path.time), np.asarray(path.positions)
-    if np.max(np.abs(np.asarray(path.axes) - [0.0, 0.0, 1.0])) > 1e-9:
+    if not path.is_upright:
         raise ValueError(
             "Argument `path` must keep the tool axis along +z, but tilts it; a program "
             "with X, Y and Z only cannot."
