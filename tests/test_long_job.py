@@ -1,7 +1,9 @@
 """A job in segments from the command line, killed without warning, and resumed."""
 
+import math
 import os
 import pathlib
+import re
 import signal
 import subprocess
 import sys
@@ -128,18 +130,42 @@ def test_segments_leave_the_error_that_the_whole_path_leaves(folder):
     assert abs(segments - whole) < 0.03 * whole
 
 
-def test_a_correction_that_is_refused_late_leaves_nothing_in_the_way(
-    tmp_path, monkeypatch, capsys
+@pytest.mark.parametrize("is_kept", [False, True])
+def test_a_correction_that_is_refused_leaves_nothing_of_its_own(
+    tmp_path, monkeypatch, capsys, is_kept
 ):
     def refuse(job, *, on_checkpoint, **options):
-        on_checkpoint({"method/mirror/command": np.zeros(3)})
-        assert list(tmp_path.glob("*.checkpoint"))
+        if not is_kept:
+            on_checkpoint({"method/mirror/command": np.zeros(3)})
         raise correction.InfeasibleLimit("`gouge` is too small.")
 
     write_slides_job(tmp_path, *SETTINGS)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(correction, "correct", refuse)
+    if is_kept:
+        (tmp_path / "job-correct.checkpoint").write_bytes(b"of an earlier run")
     before = sorted(tmp_path.iterdir())
-    assert main(["correct", "job.toml"]) == 2
+    assert main(["correct", "job.toml", "--force"]) == 2
     assert "`gouge` is too small" in capsys.readouterr().err
     assert sorted(tmp_path.iterdir()) == before
+
+
+def test_gcode_of_a_tool_that_tilts_is_refused_before_it_is_corrected(
+    tmp_path, monkeypatch, capsys
+):
+    def late(job, **options):
+        raise AssertionError("computed first")
+
+    file = write_slides_job(tmp_path, *SETTINGS)
+    text = re.sub('file = "part.*"', 'file = "part.csv"', file.read_text())
+    # The slides' tool, as a work that is turned by asin 0.6 sees it.
+    turn = f'rpy = ["{math.degrees(math.asin(0.6)):.9f} deg", "0 deg", "0 deg"]'
+    text = text.replace('"0 mm"] }', f'"0 mm"], {turn} }}')
+    file.write_text(text + '[output]\nformats = ["krl", "gcode"]\n')
+    rows = [f"{0.01 * k},{k},0,1,0,0.6,0.8" for k in range(4)]
+    header = "time_s,x_mm,y_mm,z_mm,i,j,k"
+    (tmp_path / "part.csv").write_text("\n".join([header, *rows]) + "\n")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(correction, "correct", late)
+    assert main(["correct", "job.toml"]) == 2
+    assert '[output] formats: found "gcode"' in capsys.readouterr().err

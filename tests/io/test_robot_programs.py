@@ -525,6 +525,21 @@ def test_tool_axes_read_back(read, suffix):
         write_program(path, ".ngc")
 
 
+@pytest.mark.parametrize("suffix", [".src", ".mod"])
+def test_a_tool_that_turns_where_it_stands_reads_back(read, suffix):
+    time, lean = 0.5 * np.arange(5), np.array([0.0, 0.0, 0.3, 0.3, 0.3])
+    positions = np.outer(np.array([0.0, 1.0, 1.0, 2.0, 3.0]), [0.01, 0.0, 0.0])
+    axes = np.stack([np.sin(lean), 0 * lean, np.cos(lean)], axis=1)
+    path = Path(time, positions, axes, np.zeros(5, bool), np.zeros(5, np.int32))
+    program = read(write_program(path, suffix), suffix)
+    ends = np.array([move.end for move in program.moves])
+    np.testing.assert_allclose(ends, positions, atol=1e-9)
+    turned = np.array([move.axis for move in program.moves])
+    np.testing.assert_allclose(turned, axes, atol=1e-7)
+    durations = [move.duration for move in program.moves[1:]]
+    assert durations == pytest.approx(np.diff(time))
+
+
 PART = """G21 G90 S6000 M3
 G0 X0 Y0 Z5
 G1 Z0 F300

@@ -16,7 +16,13 @@ from .._jax_config import configure_jax
 from .._results_folder import ResultsFolder
 from ._analyses import FinishedRun, add_analyses
 from ._session.checkpoint import Checkpoint
-from ._session.errors import ONLY_SIMULATE, BadInput, bad_correction, bad_input
+from ._session.errors import (
+    NO_TILT,
+    ONLY_SIMULATE,
+    BadInput,
+    bad_correction,
+    bad_input,
+)
 from ._session.memory import give_back_memory
 from ._session.progress import Progress
 
@@ -91,6 +97,8 @@ def run_job(
             )
         if command == "correct" and job.commanded is not None:
             raise JobError(file, [ONLY_SIMULATE])
+        if command == "correct" and not _can_be_written(job):
+            raise JobError(file, [NO_TILT])
     checkpoint = program = None
     if command == "correct":
         with bad_input():
@@ -109,7 +117,7 @@ def run_job(
         return _keep_failure(folder, job, failure, force=force)
     except BadInput:
         # Of no use to the job as it will be, and in its way.
-        if checkpoint is not None:
+        if checkpoint is not None and checkpoint.is_ours:
             checkpoint.remove()
         raise
     except KeyboardInterrupt:
@@ -164,6 +172,11 @@ def run_job(
     if progress.prints_json:
         print(json.dumps(_figures(dataset, folder, job.notes), indent=2))
     return code
+
+
+def _can_be_written(job: "Job") -> bool:
+    """Return whether the formats of a corrected program can say how the tool tilts."""
+    return job.path.is_upright or ".ngc" not in job.output.formats
 
 
 def _import_later() -> None:

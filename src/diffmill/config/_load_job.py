@@ -478,8 +478,6 @@ def _simulation(
     if path is not None and stock is not None:
         deepest = immersion(path, cutter, stock) + _ROOM
     _check_simulation(tables, cutter, deepest, problems)
-    if tables.output is not None and path is not None:
-        tables.output.check_axes(problems, is_upright=path.is_upright)
     if table.bottom_edges and cutter.has_dish and (axes or not cutter.is_plain):
         problems.append(
             "[simulation] bottom_edges: found true, but with dish_angle they are known "

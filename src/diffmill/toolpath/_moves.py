@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ._path import Path
-from ._turned_axes import turned_axes
+from ._turned_axes import stand_upright, turned_axes
 
 Point: TypeAlias = tuple[float, float, float]
 
@@ -200,6 +200,12 @@ class Program:
     def spindle_speed(self) -> float | None:
         """The first speed that the program sets [rad/s], or None."""
         return self.spindle_speeds[0] if self.spindle_speeds else None
+
+    @property
+    def is_upright(self) -> bool:
+        """Whether the tool axis is +z after every move, to 1e-4."""
+        axes = [move.axis for move in self.moves]
+        return stand_upright(np.reshape(np.array(axes, np.float64), (-1, 3)))
 
     @property
     def timed_moves(self) -> tuple[Move, ...]:

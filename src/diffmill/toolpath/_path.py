@@ -16,13 +16,11 @@ from .._types import (
     IntSteps,
     RealScalarLike,
 )
-from ._turned_axes import LEAST_SUM, turned_axes
+from ._turned_axes import LEAST_SUM, stand_upright, turned_axes
 
 # Above this a path fills the memory with its own rows, and a typing error in a feed is
 # the usual reason.
 MOST_STEPS = 1_000_000
-# Axes that miss +z by less stand upright: the rim of a tool of 20 mm by 1 um.
-_UPRIGHT = 1e-4
 
 
 class Path(eqx.Module):
@@ -82,7 +80,7 @@ class Path(eqx.Module):
 
         **Differentiability**: none.
         """
-        return bool(np.all(np.abs(np.asarray(self.axes) - [0.0, 0.0, 1.0]) < _UPRIGHT))
+        return stand_upright(np.asarray(self.axes, np.float64))
 
     def padded(self, row_count: int | None = None) -> "Path":
         """Return the path with rows behind its last one that no simulation runs.

@@ -5,6 +5,13 @@ from jaxtyping import Float
 
 # Nearer to opposite axes than this, nothing says which way round the tool turns.
 LEAST_SUM = 1e-6
+# Axes that miss +z by less stand upright: the rim of a tool of 20 mm by 1 um.
+_UPRIGHT = 1e-4
+
+
+def stand_upright(axes: Float[np.ndarray, "row 3"]) -> bool:
+    """Return whether unit tool axes are all +z, to 1e-4."""
+    return bool(np.all(np.abs(axes - np.array([0.0, 0.0, 1.0])) < _UPRIGHT))
 
 
 def turned_axes(

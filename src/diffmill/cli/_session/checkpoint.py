@@ -25,6 +25,7 @@ class Checkpoint:
         file: Its file, `<folder>.checkpoint`.
         resumed: What it held, or None for a run from the beginning.
         spent: What the run had taken until then [s].
+        is_ours: Whether this run has written it or goes on from it.
     """
 
     def __init__(self, folder: pathlib.Path, job: "Job"):
@@ -35,6 +36,7 @@ class Checkpoint:
         self.file = CheckpointFile.of_job(path, job)
         self.resumed: Mapping[str, np.ndarray] | None = None
         self.spent = 0.0
+        self.is_ours = False
         self._began = time.perf_counter()
 
     def open(self, *, resume: bool, force: bool, progress: Progress) -> None:
@@ -67,12 +69,14 @@ class Checkpoint:
             return
         self.spent = float(found.get(_SPENT, 0.0))
         self.resumed = {name: x for name, x in found.items() if name != _SPENT}
+        self.is_ours = True
 
     def write(self, arrays: Mapping[str, np.ndarray]) -> None:
         """Keep what has been found so far."""
         self.file.path.parent.mkdir(parents=True, exist_ok=True)
         spent = self.spent + time.perf_counter() - self._began
         self.file.write({**arrays, _SPENT: np.asarray(spent)})
+        self.is_ours = True
 
     def remove(self) -> None:
         """Remove it after the results have been written."""

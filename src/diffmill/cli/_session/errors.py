@@ -8,6 +8,12 @@ ONLY_SIMULATE = (
     "[program] commanded: found one, but only simulate takes it; leave it out"
 )
 
+# What `correct` says of a job whose program it could not write in the end.
+NO_TILT = (
+    '[output] formats: found "gcode", but the tool tilts, and G-code is written with '
+    'X, Y and Z only; correct allows "krl", "rapid" and "apt"'
+)
+
 
 class BadInput(Exception):
     """Raise when a user's input is refused; nothing has been written."""

@@ -168,6 +168,18 @@ def _left(solution: "Solution", is_cutting: Bool[np.ndarray, " step"]) -> Writte
     return WrittenError(float(np.sqrt(np.mean(error**2))), float(np.max(np.abs(error))))
 
 
+def _straightened(path: "Path") -> "Path":
+    """Return an upright path with its axes at exactly +z; another as it is.
+
+    Blocks may lean a little more than the rows that they pass, and G-code not at all.
+    """
+    if not path.is_upright:
+        return path
+    up = np.zeros_like(path.axes)
+    up[:, 2] = 1.0
+    return eqx.tree_at(lambda p: p.axes, path, up)
+
+
 def corrected_files(job: "Job", commanded: Float[np.ndarray, "step 3"]) -> WrittenFiles:
     """Return the files of a corrected command.
 
@@ -185,7 +197,7 @@ def corrected_files(job: "Job", commanded: Float[np.ndarray, "step 3"]) -> Writt
     from ...toolpath import Program, reduce_path
 
     output, said = job.output, []
-    path = eqx.tree_at(lambda p: p.positions, job.path, commanded)
+    path = _straightened(eqx.tree_at(lambda p: p.positions, job.path, commanded))
     files = {"corrected.csv": write_path_csv(path)}
     lines = reduce_path(path, output.tolerance)
     header = [f"{job.name}, corrected by diffmill", f"method: {job.correction.method}"]

@@ -138,25 +138,14 @@ def _from_mesh(
             path,
             table.spacing,
             unit=table.mesh_unit or "mm",
+            interval_counts=_slots(table),
             dtype=dtype,
         )
     except ValueError as error:
-        context.problems.append(f"[stock] mesh: {error}")
+        key = "intervals" if "`interval_counts`" in str(error) else "mesh"
+        context.problems.append(f"[stock] {key}: {error}")
         return None
-    stock = _with_slots(stock, table, context.problems)
-    return None if stock is None else _plan_of(stock, dtype)
-
-
-def _with_slots(
-    stock: Stock, table: StockTable, problems: list[str]
-) -> Stock | None:
-    """Return the stock with the slots that a job states; None where they are too few."""
-    slots = _slots(table)
-    try:
-        return stock if slots is None else stock.with_interval_counts(slots)
-    except ValueError as error:
-        problems.append(f"[stock] intervals: {error}")
-        return None
+    return _plan_of(stock, dtype)
 
 
 def _from_result(
@@ -169,11 +158,14 @@ def _from_result(
     if path is None:
         return None
     try:
-        stock = _with_slots(load_stock(path, dtype=dtype), table, context.problems)
+        stock = load_stock(path, dtype=dtype)
+        slots = _slots(table)
+        stock = stock if slots is None else stock.with_interval_counts(slots)
     except StockFileError as error:
         context.problems.append(f"[stock] result: {error}")
         return None
-    if stock is None:
+    except ValueError as error:
+        context.problems.append(f"[stock] intervals: {error}")
         return None
     off = 0.0 if table.spacing is None else abs(table.spacing / stock.spacing - 1)
     if table.spacing is not None and off > _SAME_SPACING:

@@ -156,8 +156,9 @@ def _unreached(
     is_bad = ~np.asarray(found.converged)
     k = int(np.argmax(is_bad))
     x, y, z = Ts[k, :3, 3] * 1e3
-    away = float(found.position_residual[k]) * 1e3
-    tilt = np.rad2deg(float(found.rotation_residual[k]))
+    # What is less than a nanometre is rounding.
+    away = round(float(found.position_residual[k]) * 1e3, 6)
+    tilt = round(np.rad2deg(float(found.rotation_residual[k])), 6)
     return (
         f"[robot]: {at_row(path, k)}: outside the robot's reach, with the tip at "
         f"({x:.1f}, {y:.1f}, {z:.1f}) mm in base: the nearest pose found is {away:.2g} "

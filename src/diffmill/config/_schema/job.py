@@ -252,7 +252,7 @@ class OutputTable(TomlTable):
     formats: list[Literal["gcode", "krl", "rapid", "apt"]] | None = Field(
         default=None,
         description='formats of the corrected program; ["gcode"] if left out, or '
-        '["apt"] if the tool tilts, which G-code of X, Y and Z cannot',
+        '["krl"] if the tool tilts, which G-code of X, Y and Z cannot',
     )
     tolerance: Tolerance = Field(
         default=1e-6,
@@ -278,14 +278,6 @@ class OutputTable(TomlTable):
         "moved",
     )
 
-    def check_axes(self, problems: list[str], *, is_upright: bool) -> None:
-        """Note a format that cannot say how the tool tilts."""
-        if not is_upright and "gcode" in (self.formats or ()):
-            problems.append(
-                '[output] formats: found "gcode", but the tool tilts, and G-code is '
-                'written with X, Y and Z only; "krl", "rapid" and "apt" are allowed'
-            )
-
     def settings(self, *, is_upright: bool) -> "OutputSettings":
         """Return the settings of a job."""
         from ..._job import OutputSettings
@@ -293,7 +285,7 @@ class OutputTable(TomlTable):
         suffixes = {"gcode": ".ngc", "krl": ".src", "rapid": ".mod", "apt": ".apt"}
         names = self.formats
         if names is None:
-            names = ["gcode"] if is_upright else ["apt"]
+            names = ["gcode"] if is_upright else ["krl"]
         return OutputSettings(
             formats=tuple(suffixes[name] for name in names),
             tolerance=self.tolerance,

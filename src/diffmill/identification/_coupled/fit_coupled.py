@@ -138,7 +138,7 @@ def fit_coupled(
         fit: Names of what is fitted, see `Job.parameter_names`, all else being known;
             "K" or "D" alone for those of all joints. Stiffness and damping of all
             joints if not given, and the coefficients if the force was measured, as far
-            as they are positive and finite in the job.
+            as they are finite and not 0 in the job; all keep their sign.
         has_offset: Whether a constant deviation is fitted too, as of a tracker whose
             zero is not known.
         has_time_shift: Whether a shift of the record's clock is fitted too; its start

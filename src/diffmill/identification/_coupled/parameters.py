@@ -1,6 +1,7 @@
 """Parameters of arm and cut that are fitted to a coupled record, by name.
 
-Steps are taken in logarithms, so that a fit starts from what is positive and finite.
+Steps are taken in logarithms, so that a fit starts from what is finite and not 0, and
+keeps its sign.
 """
 
 import math

@@ -1,6 +1,6 @@
 """Quadratic model of what a simulation with few unknowns leaves of a record.
 
-Parameters are logarithms, so that they stay positive, and robust weights come from the
+Parameters are logarithms, so that they keep their sign; robust weights come from the
 scatter of every channel. Each logarithm has a wide normal prior around its start, 0: it
 is of no account beside a record that shows the parameter, and keeps one in place that
 no record shows. The prior takes no part in the standard errors.

@@ -42,6 +42,11 @@ def machine_lines(job: Job, written: Mapping[str, float]) -> list[str]:
         "The times of the blocks are a part of the correction: an override of the feed "
         "other than 100 % undoes it. G-code states them as inverse time (G93).",
     ]
+    if ".apt" in job.output.formats:
+        lines.append(
+            "APT states feeds instead of times: its file is not run, and what it "
+            "leaves is not known."
+        )
     if any(suffix in _ROBOT_FILES for suffix in job.output.formats):
         lines.append(
             "The robot's file has the motion alone: base, tool, approach and spindle "

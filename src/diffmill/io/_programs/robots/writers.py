@@ -42,8 +42,10 @@ def write_krl(
     lines = ["&ACCESS RVP", f"DEF {name if name[0].isalpha() else 'p' + name}( )"]
     lines += [f";{' '.join(text.split())}" for text in (*header, _reminder(program))]
     feed, timed = None, []
-    for index, move in enumerate(_placed(program, tolerance)):
-        if move.duration is not None and _goes(move):
+    moves = _placed(program, tolerance)
+    for index, move in enumerate(moves):
+        goes = _goes(move) or _turns(moves, index)
+        if move.duration is not None and goes:
             timed.append(move)
             if move.rest:
                 lines += [*_time_blocks(timed, is_spline), _krl_rest(move.rest)]
@@ -57,7 +59,7 @@ def write_krl(
         if move.centre is not None:
             middle, end = _halves(move)
             lines.append(f"CIRC {_frame(middle, move.axis)},{_frame(end, move.axis)}")
-        elif index == 0 or _goes(move):
+        elif index == 0 or goes:
             word = "PTP" if move.is_rapid else "LIN"
             lines.append(f"{word} {_frame(move.end, move.axis)}")
         rest = move.rest or (move.duration or 0.0)
@@ -88,8 +90,9 @@ def write_rapid(
     lines = ["MODULE part", "  PROC main()"]
     texts = (*header, _reminder(program))
     lines += [f"    ! {' '.join(text.split())}" for text in texts]
-    moves = list(_placed(program, tolerance))
+    moves = _placed(program, tolerance)
     for index, move in enumerate(moves):
+        goes = _goes(move) or _turns(moves, index)
         is_last = index == len(moves) - 1 or moves[index + 1].is_rapid
         zone = "fine" if is_last or move.is_rapid or move.rest else "z0"
         speed = "vmax"
@@ -101,10 +104,10 @@ def write_rapid(
         if move.centre is not None:
             middle, end = (_target(point, move.axis) for point in _halves(move))
             lines.append(f"    MoveC {middle},{end},{speed},{zone},tool0;")
-        elif index == 0 or _goes(move):
+        elif index == 0 or goes:
             word = "MoveJ" if move.is_rapid else "MoveL"
             lines.append(f"    {word} {end},{speed},{zone},tool0;")
-        rest = move.rest or (0.0 if _goes(move) else move.duration or 0.0)
+        rest = move.rest or (0.0 if goes else move.duration or 0.0)
         if rest:
             lines.append(f"    WaitTime {rest:.9g};")
     return "\n".join([*lines, "  ENDPROC", "ENDMODULE"]) + "\n"
@@ -171,6 +174,11 @@ def _halves(move: Move) -> tuple[Point, Point]:
 def _goes(move: Move) -> bool:
     """Return whether a move leads to another place."""
     return move.length > 0
+
+
+def _turns(moves: Sequence[Move], index: int) -> bool:
+    """Return whether a move leads to another axis than the one before it."""
+    return index > 0 and moves[index].axis != moves[index - 1].axis
 
 
 def _time_blocks(moves: list[Move], is_spline: bool) -> list[str]:

@@ -111,7 +111,7 @@ def write_moves(
         ValueError: If the tool axis is tilted.
     """
     moves = program_moves(program)
-    if any(abs(move.axis[2] - 1) > 1e-9 for move in moves):
+    if not program.is_upright:
         raise ValueError(
             "the program tilts the tool axis; G-code with X, Y and Z only cannot."
         )
