@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import xarray
 
-from diffmill import JobError, load_job, simulate
+from diffmill import JobError, load_job, sim, simulate
 from diffmill.campaign import run_campaign
 from diffmill.cli import main
 from diffmill.config import load_campaign
@@ -328,6 +328,24 @@ def test_a_folder_of_something_else_is_left_alone(folder, capsys):
     assert main(["campaign", "c.toml", "--out", "out"]) == 2
     assert "not empty" in capsys.readouterr().err
     assert main(["campaign", "c.toml", "--workers", "-1"]) == 2
+
+
+@pytest.mark.parametrize("error", [OSError(28, "No space left"), MemoryError()])
+def test_what_a_full_disk_ended_is_computed_again(folder, monkeypatch, error):
+    def fails(job):
+        raise error
+
+    campaign, told = plan(REFUSED.replace("neither", "part"), folder), []
+    run = lambda: run_campaign(
+        campaign, "out", workers=0, on_progress=lambda *seen: told.append(seen[2])
+    )
+    monkeypatch.setattr(sim, "simulate", fails)
+    run()
+    assert sorted(told) == ["kept", "lost", "refused"]
+    # The next one does not take it for an answer.
+    told.clear()
+    run()
+    assert told == ["kept", "lost"]
 
 
 def test_without_dask_the_jobs_run_one_after_the_other(folder, capsys, monkeypatch):

@@ -5,7 +5,7 @@ import pytest
 import xarray
 from slides_job import write_slides_job
 
-from diffmill import correction, io
+from diffmill import SimulationFailed, correction, io
 from diffmill.cli import main
 from diffmill.correction import FeedPoint, FeedTradeoff, NothingToCorrect, TunedFeed
 from diffmill.toolpath import PathFeed, retime
@@ -84,6 +84,37 @@ def test_feed_writes_numbers_a_figure_and_tuned_paths(folder, asked, capsys):
     assert program.count("\nG1 ") == path.step_count - 1
     assert main([*command, "--quiet"]) == 2
     assert "--force" in capsys.readouterr().err
+
+
+def test_errors_of_all_feeds_are_kept_if_none_can_be_tuned(
+    folder, asked, capsys, monkeypatch
+):
+    def fails(job, **options):
+        raise SimulationFailed("the arm shakes itself free.")
+
+    monkeypatch.setattr(correction, "tune_feed", fails)
+    assert main(["feed", "job.toml", "--overrides", "0.5", "1"]) == 1
+    said = capsys.readouterr()
+    assert "the arm shakes itself free" in said.err and "4.50" in said.out
+    with xarray.open_dataset("job-feed/result.nc", engine="h5netcdf") as found:
+        np.testing.assert_allclose(found["uncorrected"], [4.5e-6, 9e-6])
+
+
+def test_a_folder_that_fills_up_meanwhile_costs_nothing(
+    folder, asked, capsys, monkeypatch
+):
+    known = correction.feed_tradeoff
+
+    def filled(*arguments, **options):
+        (folder / "job-feed").mkdir()
+        (folder / "job-feed/note.txt").write_text("of somebody else")
+        return known(*arguments, **options)
+
+    monkeypatch.setattr(correction, "feed_tradeoff", filled)
+    assert main(["feed", "job.toml", "--overrides", "1", "--weights"]) == 0
+    assert "results: job-feed-2" in capsys.readouterr().err
+    assert [p.name for p in (folder / "job-feed").iterdir()] == ["note.txt"]
+    assert (folder / "job-feed-2/result.nc").exists()
 
 
 def test_an_empty_list_of_weights_tunes_nothing(folder, asked, capsys):

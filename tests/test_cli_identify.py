@@ -11,7 +11,14 @@ import xarray
 from slides_job import JOB, write_slides_job
 from slot_force import SPEED, K, slot_force
 
-from diffmill import config, cutter as ct, identification, load_job, robot as rb
+from diffmill import (
+    config,
+    cutter as ct,
+    identification,
+    load_job,
+    robot as rb,
+    viz,
+)
 from diffmill.cli import main
 from diffmill.cutting import KienzleLaw, LinearEdgeLaw
 
@@ -100,6 +107,21 @@ def test_means_are_fitted_and_axes_are_proposed_not_changed(folder, capsys):
     assert {"mean_forces.png", "correlation.png", "summary.txt"} <= {
         p.name for p in out.iterdir()
     }
+
+
+def test_what_is_found_is_kept_where_no_figure_can_be_drawn(
+    folder, capsys, monkeypatch
+):
+    def fails(figure, file):
+        raise RuntimeError("no font")
+
+    write_means(folder)
+    (folder / "means.toml").write_text(MEANS + '[fit]\naxes = ["y", "x", "z"]\n')
+    monkeypatch.setattr(viz, "save_figure", fails)
+    assert main(["identify", "means.toml"]) == 1
+    said = capsys.readouterr()
+    assert "K_tc" in said.out and "no font" in said.err
+    assert "K_tc" in results(folder, "means")[2]["force"]
 
 
 def test_means_that_other_axes_suit_better_are_comments(folder, capsys):

@@ -67,6 +67,21 @@ class ResultsFolder(NamedTuple):
                 f"{error.strerror}"
             ) from error
 
+    def still_free(self, *, force: bool = False) -> pathlib.Path:
+        """Return the folder, or one beside it if it has been filled since `check`.
+
+        Args:
+            force: As of `check`.
+        """
+        folder, count = pathlib.Path(self.name), 1
+        found = folder
+        while found.exists() and (not found.is_dir() or any(found.iterdir())):
+            if force and found.is_dir():
+                break
+            count += 1
+            found = folder.with_name(f"{folder.name}-{count}")
+        return found
+
     def write(self, fill: Fill, *, force: bool = False) -> None:
         """Write a folder of files, all of them or nothing.
 

@@ -132,7 +132,7 @@ def test_every_case_has_every_figure(load):
 
 
 @pytest.mark.slow
-def test_only_what_is_asked_for_runs(load):
+def test_only_what_is_asked_for_runs(load, monkeypatch):
     result = correct(load('method = "mirror"\n'))
     assert tuple(result.cases) == ("uncorrected", "mirror", "inverse_drive")
     assert result.after is result.mirror and result.history == ()
@@ -145,6 +145,17 @@ def test_only_what_is_asked_for_runs(load):
         np.testing.assert_array_equal(
             found.motion.actual, solution.desired + solution.surface_deviation
         )
+    # What is found is kept where the mesh of its surface is too large.
+    whole = result.to_dataset()
+
+    def large(*arguments, **options):
+        raise ValueError("it would fill the memory.")
+
+    monkeypatch.setattr(workpiece.SurfaceError, "of_stocks", large)
+    data = result.to_dataset()
+    assert data.attrs["surface_left_out"] == "it would fill the memory."
+    np.testing.assert_array_equal(data["contour_error"], whole["contour_error"])
+    assert "surface_wall_rms" in whole and "surface_left_out" not in whole.attrs
     # Once all is compiled, both cases take the time of one run of the arm.
     again = correct(load('method = "mirror"\n')).wall_time
     assert again["uncorrected"] > 0.5 * again["mirror"]

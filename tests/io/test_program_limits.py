@@ -60,6 +60,14 @@ def test_a_robot_program_without_an_end_of_its_statement(tmp_path):
     refused(lambda: read_program(file))
 
 
+@pytest.mark.parametrize("suffix", [".mod", ".src", ".apt"])
+def test_a_program_is_never_cut_short(tmp_path, suffix):
+    file = tmp_path / f"long{suffix}"
+    file.write_text("\n" * 2_000_001)
+    with pytest.raises(ProgramError, match="more than 2000000 lines"):
+        read_program(file)
+
+
 BLANKS, BRACES = " " * 60_000, "{" * 60_000
 
 

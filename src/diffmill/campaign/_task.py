@@ -142,6 +142,9 @@ def run_task(task: Task) -> JobRecord:
         figures = _figures(task)
     except JobError as error:
         status, message = "refused", "; ".join(error.problems)
+    except (OSError, MemoryError) as error:
+        # Of a full disk or memory, which says nothing of the job.
+        status, message = "lost", f"{type(error).__name__}: {error}"
     except Exception as error:
         status, message = "failed", f"{type(error).__name__}: {error}"
     _drop_programs()

@@ -82,8 +82,16 @@ def run_feed(
         print("nothing could be kept", file=sys.stderr)
         return 1
     progress.answer("\n".join(_summary(job, tradeoff, tuned)))
+    folder = ResultsFolder.of(folder).still_free(force=force)
     code = _write(folder, job, tradeoff, tuned, force=force)
     progress.say(f"results: {folder}")
+    if found.failure:
+        print(
+            f"error: the feed could not be tuned: {found.failure}; {folder} has the "
+            "rest",
+            file=sys.stderr,
+        )
+        return 1
     return code
 
 
@@ -123,14 +131,22 @@ def _check(job: "Job", file: pathlib.Path, request: FeedRequest) -> None:
 
 
 class _FeedRun(NamedTuple):
-    """A job at all feeds, and with its feed tuned, if that was asked for."""
+    """A job at all feeds, and with its feed tuned, if that was asked for.
+
+    Attributes:
+        tradeoff: The job at all feeds.
+        tuned: With its feed tuned, if that was asked for and did not fail.
+        failure: Why tuning failed; "" if it did not.
+    """
 
     tradeoff: "FeedTradeoff"
     tuned: "TunedFeed | None"
+    failure: str = ""
 
 
 def _compute(job: "Job", request: FeedRequest, progress: Progress) -> _FeedRun:
     """Run the job at all feeds."""
+    from .._result import SimulationFailed
     from ..correction import feed_tradeoff, tune_feed
 
     with bad_correction(job.name, "that the feed could change"):
@@ -142,12 +158,15 @@ def _compute(job: "Job", request: FeedRequest, progress: Progress) -> _FeedRun:
         )
         if not request.weights:
             return _FeedRun(tradeoff, None)
-        tuned = tune_feed(
-            job,
-            time_weights=request.weights,
-            lowest=_LOWEST,
-            on_progress=progress.update,
-        )
+        try:
+            tuned = tune_feed(
+                job,
+                time_weights=request.weights,
+                lowest=_LOWEST,
+                on_progress=progress.update,
+            )
+        except SimulationFailed as failure:
+            return _FeedRun(tradeoff, None, str(failure))
         return _FeedRun(tradeoff, tuned)
 
 

@@ -144,7 +144,7 @@ def run_job(
     if command == "simulate":
         dataset = with_job(outcome.to_dataset(), job)
     else:
-        surfaces = outcome.surfaces()
+        surfaces = _surfaces(outcome, progress)
         dataset = with_job(outcome.to_dataset(surfaces), job)
     band = float(job.correction.tolerance_band) if band is None else band
     dataset.attrs["tolerance_band"] = band
@@ -162,6 +162,7 @@ def run_job(
         for line in said:
             progress.say(line)
     # Whatever fails from here on, the run is kept.
+    folder = ResultsFolder.of(folder).still_free(force=force)
     write_results(folder, dataset, files=files, stock=final.stock, force=force)
     if checkpoint is not None:
         checkpoint.remove()
@@ -172,6 +173,18 @@ def run_job(
     if progress.prints_json:
         print(json.dumps(_figures(dataset, folder, job.notes), indent=2))
     return code
+
+
+def _surfaces(outcome: Outcome, progress: Progress) -> dict[str, Any]:
+    """Return the surface errors of a correction; none, and say why, if they fail.
+
+    A mesh of the surface can be too large for the memory where its stock was not.
+    """
+    try:
+        return outcome.surfaces()
+    except ValueError as error:
+        progress.say(f"warning: without the error of the surface: {error}")
+        return {}
 
 
 def _can_be_written(job: "Job") -> bool:
@@ -302,6 +315,7 @@ def _keep_failure(
     step = int(np.argmax(failed)) if failed.any() else None
     dataset = with_job(solution.to_dataset(), job)
     dataset = mark_incomplete(dataset, str(failure), failed_step=step)
+    folder = ResultsFolder.of(folder).still_free(force=force)
     write_results(folder, dataset, stock=solution.stock, force=force)
     print(
         f"what was computed before is in {folder}, marked incomplete", file=sys.stderr

@@ -82,7 +82,8 @@ def choose_engagement(
         cutter: The cutter.
         axial_depth: Deepest immersion below the top of the stock [m].
         angles: Samples per revolution; raised to a multiple of teeth x substeps.
-            At least 180 if not given.
+            If not given at least 180 of a plain flat cutter that stands upright, and
+            96 of others.
         substeps: Sub-steps per tooth period.
         element_height: Height of a disc [m]; if not given 3.5 ray spacings, one for
             a point cloud, less for a steep helix: see `default_element_height`.

@@ -19,8 +19,8 @@ The cutting process, which knows no robot, is `diffmill.process`.
 Assumes force at the tip and motors that follow their command, unless the robot's drives
 have backlash, friction or motors with a mass. A run never raises inside: flags travel
 with it and become its `result`.
-Leaves out the moment of the force about the tip, and regeneration by more than the last
-teeth beyond the thinned history.
+Leaves out the moment of the force about the tip unless the tool bends, and regeneration
+by more than the last teeth beyond the thinned history.
 """
 
 from ._analysis.collisions import (

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, assert_never
 
 from ..._jax_config import configure_jax
 from ..._results_folder import ResultsFolder
+from .._session.attempts import Attempts
 from .._session.errors import BadInput, bad_input
 from .._session.progress import Progress
 from .report import Report
@@ -68,16 +69,24 @@ def run_identify(
         )
         facts = json.dumps(_plain(report.facts), indent=2, allow_nan=False)
         (target / "identified.json").write_text(facts + "\n", encoding="utf-8")
-        for name, draw in report.figures.items():
-            save_figure(draw(), target / f"{name}.png")
+
+    # Whatever fails from here on, what was found is kept and shown.
+    if not progress.is_quiet:
+        print("\n".join([*report.lines, "", *report.toml]))
+    folder = ResultsFolder.of(folder).still_free(force=force)
+    ResultsFolder.of(folder).write(fill, force=force)
+    attempts = Attempts()
+
+    def draw(target: pathlib.Path) -> None:
+        for name, figure in report.figures.items():
+            with attempts.at(f"figure {name}"):
+                save_figure(figure(), target / f"{name}.png")
 
     with progress:
         progress.update("figures")
-        ResultsFolder.of(folder).write(fill, force=force)
-    if not progress.is_quiet:
-        print("\n".join([*report.lines, "", *report.toml]))
+        attempts.add(folder, draw)
     progress.say(f"results: {folder} ({time.perf_counter() - start:.1f} s)")
-    return 0
+    return attempts.conclude(folder)
 
 
 def reported(study: "Study", tell: "Callable[[str], None]") -> Report:

@@ -95,7 +95,8 @@ Density: TypeAlias = Annotated[
 ]
 Lengths3: TypeAlias = Annotated[list[Length], Field(min_length=3, max_length=3)]
 Angles3: TypeAlias = Annotated[list[Angle], Field(min_length=3, max_length=3)]
-Slots: TypeAlias = Annotated[StrictInt, Field(ge=1, le=64)]
+# As many as a run that finds its own number goes up to.
+Slots: TypeAlias = Annotated[StrictInt, Field(ge=1, le=128)]
 
 
 def _read_each(

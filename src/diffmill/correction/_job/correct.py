@@ -15,7 +15,7 @@ from ...optimise import LeastSquaresStep
 from ...process import ThroughPoses
 from ...sim import JobKinematics, Solution, run_with_room
 from ...workpiece import SurfaceError
-from .._core.method import Corrected, GivenCommand
+from .._core.method import AbstractMethod, Corrected, GivenCommand
 from .._core.path_objective import AbstractObjective, check_objective
 from .._core.path_segments import PathParts
 from .._core.problem import Problem
@@ -125,6 +125,10 @@ class Correction(eqx.Module):
         """Compute the error of the machined surface of each case, by name.
 
         None where all of the stock was cut away.
+
+        Raises:
+            ValueError: The mesh of a surface is too large for the memory, or what is
+                left of the stock is thinner than its spacing.
         """
         # All cases have one ideal: what a rigid machine leaves.
         ideal = self.before.rigid.stock
@@ -140,7 +144,8 @@ class Correction(eqx.Module):
         """Return all cases on `case`, figures by part of the path, and costs.
 
         Args:
-            surfaces: What `surfaces` has computed; computed if not given.
+            surfaces: What `surfaces` has computed. If not given it is computed, and
+                where it cannot be the attribute `surface_left_out` says why.
         """
         from .dataset import correction_dataset
 
@@ -260,23 +265,32 @@ def compared(job: Job) -> tuple[str, ...]:
 def _run_baselines(
     task: _Task, record: CaseRecord, inverse: InverseDriveCommand | None
 ) -> None:
-    """Run the cases that need no optimiser."""
+    """Run the cases that need no optimiser.
+
+    The one that is asked for is refused as soon as it is found.
+    """
     job, problem = task.job, task.problem
     cases = compared(job)
     known = solved_motion(task.before)
-    record.run("uncorrected", GivenCommand(motion=known), problem)
-    record.run("mirror", Mirror(before=known), problem)
+
+    def run(name: str, method: AbstractMethod) -> None:
+        record.run(name, method, problem)
+        if name == job.correction.method:
+            command = record.methods[name].command
+            JointLimits(job).check(command, is_joints=False)
+
+    run("uncorrected", GivenCommand(motion=known))
+    run("mirror", Mirror(before=known))
     if "mirror_iterated" in cases:
         segment = None if task.segments is None else task.segments.length
-        mirror = job_mirror(problem, task.before, segment)
-        record.run("mirror_iterated", mirror, problem)
+        run("mirror_iterated", job_mirror(problem, task.before, segment))
     desired, bound = jnp.asarray(problem.desired), problem.max_offset
     if "input_shaper" in cases:
         tips = clip_offset(desired, shaped_program(job, desired), bound)
-        record.run("input_shaper", GivenCommand(tips), problem)
+        run("input_shaper", GivenCommand(tips))
     if inverse is not None:
         tips = clip_offset(desired, inverse.tip, bound)
-        record.run("inverse_drive", GivenCommand(tips), problem)
+        run("inverse_drive", GivenCommand(tips))
 
 
 class _Optimiser:
@@ -351,12 +365,13 @@ def _spread(job: Job, start: FloatRows) -> FloatRows:
 
 
 def _finished(task: _Task, record: CaseRecord) -> Correction:
-    """Check the command that is asked for, and collect the solutions of all cases."""
+    """Check what an optimiser found, and collect the solutions of all cases."""
     job, before, methods = task.job, task.before, record.methods
-    asked = job.correction.method
-    chosen = "corrected" if asked in OPTIMISERS else asked
-    are_joints = job.correction.command == "joint" and chosen == "corrected"
-    JointLimits(job).check(methods[chosen].command, is_joints=are_joints)
+    chosen = job.correction.method
+    if chosen in OPTIMISERS:
+        chosen = "corrected"
+        are_joints = job.correction.command == "joint"
+        JointLimits(job).check(methods[chosen].command, is_joints=are_joints)
     cases = {name: _solution(task, name, found) for name, found in methods.items()}
     # What a method minimises also counts rows that only pass over the surface.
     cuts = np.asarray(before.is_cutting, np.float64)

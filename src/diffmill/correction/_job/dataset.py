@@ -59,8 +59,14 @@ def correction_dataset(
         data_vars=[name for name in _BY_CASE if name in tables[0]],
         combine_attrs="drop_conflicts",
     )
-    errors = correction.surfaces() if surfaces is None else surfaces
-    figures = {**_figures(correction), **_surface_figures(errors)}
+    left_out = ""
+    if surfaces is None:
+        try:
+            surfaces = correction.surfaces()
+        except ValueError as error:
+            # The correction is worth more than this figure of it.
+            surfaces, left_out = {}, str(error)
+    figures = {**_figures(correction), **_surface_figures(surfaces)}
     dataset = dataset.assign(figures).assign_coords(part=list(PathParts.NAMES))
     for name, method in correction.methods.items():
         dataset.attrs[f"{name}_wall_time_s"] = correction.wall_time[name]
@@ -68,6 +74,8 @@ def correction_dataset(
         dataset.attrs[f"{name}_linearisations"] = method.linearisations
         for key, value in method.detail.items():
             dataset.attrs[f"{name}_{key}"] = value
+    if left_out:
+        dataset.attrs["surface_left_out"] = left_out
     dataset.attrs["corrected_case"] = correction.chosen
     is_settled = bool(
         correction.methods[correction.chosen].result == RESULTS.successful

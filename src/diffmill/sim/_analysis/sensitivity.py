@@ -80,7 +80,7 @@ def sensitivity(job: Job, *, commanded: FloatRows3 | None = None) -> Sensitivity
     lifts that of each stiffness.
 
     Args:
-        job: The job; its machine must be a robot.
+        job: The job; its machine must not be rigid.
         commanded: Tip positions that the program commands instead of the desired
             path [m], shape (step, 3).
 
@@ -88,7 +88,7 @@ def sensitivity(job: Job, *, commanded: FloatRows3 | None = None) -> Sensitivity
         The maps, one row per stiffness, damping, force coefficient, and the speed.
 
     Raises:
-        ValueError: The job has no robot, or JAX is not set up for its precision.
+        ValueError: The machine is rigid, or JAX is not set up for its precision.
 
     Differentiability: runs on the host, not traceable.
     """

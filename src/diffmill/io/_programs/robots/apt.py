@@ -123,6 +123,8 @@ def _statement(row: str, line: int, reader: _Apt) -> None:
         if any(_is_number(found) and float(found) != plain for found, plain in pairs):
             message = "a frame that is moved or turned is not supported."
             reader.refuse(line, row, message)
+        else:
+            reader.out.note(word, "changes no motion here", line)
     elif word == "CUTCOM":
         sentence = "the points are taken to be those of the tool's centre"
         reader.out.note(word, sentence, line)
@@ -265,6 +267,9 @@ def _cycle(row: str, parts: list[str], line: int, reader: _Apt) -> None:
             words[word] = -words[word]
             sentence = "is negative, and taken as so far below the point"
             reader.out.note(word, sentence, line)
+    for unit in _FEEDS_OF_TURN:
+        if unit in words:
+            reader.refuse(line, row, "a feed per turn is not supported in a cycle.")
     for unit in ("MMPM", "IPM"):
         if unit in words:
             reader.cycle_feed = words[unit] * (_FEED_UNITS[unit] or 1.0) * 1e-3 / 60

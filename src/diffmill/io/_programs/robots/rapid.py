@@ -14,7 +14,7 @@ from ....toolpath import Program
 from ..expressions import split_arguments, value_of
 from ..faults import SHOWN_FAULTS, ProgramError
 from ..geometry import ToolPlace, axis_of_quaternion
-from ..text import MOST_LINES
+from ..text import split_lines
 from .reader import Reader
 
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
@@ -71,19 +71,19 @@ def parse_rapid(text: str, *, name: str = "program.mod") -> Program:
         ProgramError: If anything but plain motion is found; up to 20 faults.
     """
     reader = _Rapid()
-    for line, statement in _statements(text):
+    for line, statement in _statements(split_lines(text, name)):
         _statement(statement, line, reader)
-        if len(reader.faults) > SHOWN_FAULTS or line > MOST_LINES:
+        if len(reader.faults) > SHOWN_FAULTS:
             break
     if reader.faults:
         raise ProgramError(name, reader.faults)
     return reader.out.finish(text, name)
 
 
-def _statements(text: str):
+def _statements(rows: list[str]):
     """Yield the first line and the text of every statement."""
     begun, parts = 0, []
-    for number, row in enumerate(text.splitlines(), 1):
+    for number, row in enumerate(rows, 1):
         bare = re.sub(r'"[^"]*"', '""', row).split("!")[0].strip()
         *ended, rest = bare.split(";")
         for place, part in enumerate([*ended, rest]):
