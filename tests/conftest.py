@@ -68,6 +68,18 @@ _MOST_MAPPINGS = 20_000
 def drop_programs() -> Iterator[None]:
     """Drop compiled programs behind a module where a process holds many."""
     yield
+    _drop_many_programs()
+
+
+@pytest.fixture(autouse=True)
+def drop_large_programs(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Drop them behind a slow test, of which a few may fill a process."""
+    yield
+    if request.node.get_closest_marker("slow"):
+        _drop_many_programs()
+
+
+def _drop_many_programs() -> None:
     maps = pathlib.Path("/proc/self/maps")
     if maps.is_file() and maps.read_bytes().count(b"\n") > _MOST_MAPPINGS:
         jax.clear_caches()

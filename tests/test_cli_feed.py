@@ -86,11 +86,12 @@ def test_feed_writes_numbers_a_figure_and_tuned_paths(folder, asked, capsys):
     assert "--force" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("error", [SimulationFailed, NothingToCorrect, ValueError])
 def test_errors_of_all_feeds_are_kept_if_none_can_be_tuned(
-    folder, asked, capsys, monkeypatch
+    folder, asked, capsys, monkeypatch, error
 ):
     def fails(job, **options):
-        raise SimulationFailed("the arm shakes itself free.")
+        raise error("the arm shakes itself free.")
 
     monkeypatch.setattr(correction, "tune_feed", fails)
     assert main(["feed", "job.toml", "--overrides", "0.5", "1"]) == 1
@@ -168,10 +169,10 @@ def test_a_rigid_machine_and_an_idle_program_are_refused(
     assert main(["feed", "rigid.toml"]) == 2
     assert "but feed needs a machine that is soft" in capsys.readouterr().err
 
-    def idle(job, **options):
+    def idle(job, overrides, **options):
         raise NothingToCorrect("the rigid tool removes nothing.")
 
-    monkeypatch.setattr(correction, "tune_feed", idle)
+    monkeypatch.setattr(correction, "feed_tradeoff", idle)
     assert main(["feed", "job.toml"]) == 2
     assert "found nothing that the feed could change" in capsys.readouterr().err
     assert not (folder / "job-feed").exists()

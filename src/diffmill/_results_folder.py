@@ -5,6 +5,7 @@ another name, which is changed at the end.
 """
 
 import contextlib
+import itertools
 import os
 import pathlib
 import shutil
@@ -73,14 +74,14 @@ class ResultsFolder(NamedTuple):
         Args:
             force: As of `check`.
         """
-        folder, count = pathlib.Path(self.name), 1
-        found = folder
-        while found.exists() and (not found.is_dir() or any(found.iterdir())):
-            if force and found.is_dir():
-                break
-            count += 1
-            found = folder.with_name(f"{folder.name}-{count}")
-        return found
+        named = pathlib.Path(self.name)
+        is_free = lambda at: not at.exists() or (at.is_dir() and not any(at.iterdir()))
+        if is_free(named) or (force and named.is_dir()):
+            return named
+        # "." and ".." have no name of their own.
+        base = self.path if named.name in ("", "..") else named
+        beside = (base.with_name(f"{base.name}-{k}") for k in itertools.count(2))
+        return next(at for at in beside if is_free(at))
 
     def write(self, fill: Fill, *, force: bool = False) -> None:
         """Write a folder of files, all of them or nothing.

@@ -236,6 +236,12 @@ def test_note_on_a_coarse_spacing(write):
     assert "0.25 mm" in note
 
 
+def test_a_spline_has_an_effect_where_the_tool_tilts(write):
+    output = ("[robot]", '[output]\nblocks = "spline"\n[robot]')
+    job = load_job(write_leaning(write(("part.ngc", "part.csv"), output), 0.1))
+    assert not any("[output]" in note for note in job.notes)
+
+
 @pytest.mark.parametrize(
     ("idle", "needed"),
     [

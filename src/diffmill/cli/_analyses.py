@@ -102,7 +102,7 @@ def _with_written(
         kind = "written" if file == "corrected" else file
         found[f"{kind}_rms_{suffix}"] = left.rms
         found[f"{kind}_max_{suffix}"] = left.largest
-    if not any(name.startswith("written_rms_") for name in found):
+    if not found:
         found["written_not_run"] = 1
     return _with_notes(run.dataset.assign_attrs(found), _said(lines, progress))
 

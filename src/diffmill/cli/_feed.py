@@ -165,7 +165,8 @@ def _compute(job: "Job", request: FeedRequest, progress: Progress) -> _FeedRun:
                 lowest=_LOWEST,
                 on_progress=progress.update,
             )
-        except SimulationFailed as failure:
+        except (SimulationFailed, ValueError) as failure:
+            # What all feeds leave is known by now.
             return _FeedRun(tradeoff, None, str(failure))
         return _FeedRun(tradeoff, tuned)
 

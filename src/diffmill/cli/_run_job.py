@@ -144,8 +144,11 @@ def run_job(
     if command == "simulate":
         dataset = with_job(outcome.to_dataset(), job)
     else:
-        surfaces = _surfaces(outcome, progress)
+        surfaces, left_out = _surfaces(outcome)
         dataset = with_job(outcome.to_dataset(surfaces), job)
+        if left_out:
+            dataset.attrs["surface_left_out"] = left_out
+            progress.say(f"warning: without the error of the surface: {left_out}")
     band = float(job.correction.tolerance_band) if band is None else band
     dataset.attrs["tolerance_band"] = band
     dataset.attrs.setdefault("wall_time_s", seconds)
@@ -175,16 +178,15 @@ def run_job(
     return code
 
 
-def _surfaces(outcome: Outcome, progress: Progress) -> dict[str, Any]:
-    """Return the surface errors of a correction; none, and say why, if they fail.
+def _surfaces(outcome: Outcome) -> tuple[dict[str, Any], str]:
+    """Return the surface errors of a correction, or none and why.
 
     A mesh of the surface can be too large for the memory where its stock was not.
     """
     try:
-        return outcome.surfaces()
+        return outcome.surfaces(), ""
     except ValueError as error:
-        progress.say(f"warning: without the error of the surface: {error}")
-        return {}
+        return {}, str(error)
 
 
 def _can_be_written(job: "Job") -> bool:

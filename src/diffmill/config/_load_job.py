@@ -446,7 +446,7 @@ def _assemble(
         program=program.source if isinstance(program, Program) else "",
         notes=(
             *force.notes(cutter),
-            *output.notes(),
+            *output.notes(is_upright=path.is_upright),
             *found,
             *notes(stock, path, cutter),
         ),

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 # A written program that leaves so much more than its command calls for more blocks.
 _WORTH_A_NOTE = 1.2
+# Angles are written to 1e-6 degrees.
+_ROUNDED_AXIS = 1e-7
 
 
 class WrittenError(NamedTuple):
@@ -149,8 +151,11 @@ def _run_written(
     # Rounded times may end a row sooner or later; the tool then rests at the end.
     rows = np.minimum(np.arange(job.path.step_count), len(positions) - 1)
     dtype = final.commanded.dtype
-    if job.simulation.axes:
-        turned = jnp.asarray(np.asarray(axes)[rows], dtype)
+    turned = np.asarray(axes)[rows]
+    # An arm that cannot turn the tool cannot follow what rounding turns it by either.
+    is_other = np.abs(turned - np.asarray(job.path.axes)).max() > _ROUNDED_AXIS
+    if job.simulation.axes and is_other:
+        turned = jnp.asarray(turned, dtype)
         job = eqx.tree_at(lambda j: j.path.axes, job, turned)
     tips = jnp.asarray(np.asarray(positions)[rows], dtype)
     # By the program that the correction has compiled.

@@ -6,7 +6,7 @@ others.
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias, TypeVar
 
 from pydantic import Field, StrictBool, StrictInt, StrictStr
@@ -283,11 +283,8 @@ class OutputTable(TomlTable):
         from ..._job import OutputSettings
 
         suffixes = {"gcode": ".ngc", "krl": ".src", "rapid": ".mod", "apt": ".apt"}
-        names = self.formats
-        if names is None:
-            names = ["gcode"] if is_upright else ["krl"]
         return OutputSettings(
-            formats=tuple(suffixes[name] for name in names),
+            formats=tuple(suffixes[n] for n in self._names(is_upright=is_upright)),
             tolerance=self.tolerance,
             cycle=self.stream_cycle,
             max_step=self.max_step,
@@ -295,10 +292,16 @@ class OutputTable(TomlTable):
             moves_ends=self.moved_ends,
         )
 
-    def notes(self) -> tuple[str, ...]:
+    def _names(self, *, is_upright: bool) -> Sequence[str]:
+        """Return the formats, those left out too."""
+        if self.formats is None:
+            return ["gcode"] if is_upright else ["krl"]
+        return self.formats
+
+    def notes(self, *, is_upright: bool) -> tuple[str, ...]:
         """Return which keys have no effect beside the others."""
         notes = []
-        if self.blocks == "spline" and "krl" not in (self.formats or ()):
+        if self.blocks == "spline" and "krl" not in self._names(is_upright=is_upright):
             notes.append('[output] blocks: without effect, since formats has no "krl"')
         if self.max_step < math.inf and self.stream_cycle == 0:
             notes.append("[output] max_step: without effect, since stream_cycle is 0")

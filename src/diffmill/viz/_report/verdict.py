@@ -138,7 +138,7 @@ def verdict(dataset: "xarray.Dataset", *, is_complete: bool = True) -> Verdict:
     files = loaded_errors(dataset, "max")
     text += _written_text(dataset, band)
     if dataset.attrs.get("written_not_run"):
-        text += " The written programs could not be run: what they leave is not known."
+        text += " The written programs were not run: what they leave is not known."
     if expected is not None:
         text += (
             f" Of machines that scatter as [simulation] scatter says, "

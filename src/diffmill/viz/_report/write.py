@@ -87,7 +87,7 @@ def write_figures(
         "deviation": _draw_deviation(dataset),
         "forces": _of_reference(_draw_forces(dataset, forces), dataset),
         "chip": _of_reference(_draw_chip(chip, chip_row, dataset), dataset),
-        "surface": _draw_surface(surfaces),
+        "surface": _draw_surface(surfaces, dataset.attrs.get("surface_left_out")),
         "dexels": _of_reference(_draw_dexels(dexels), dataset),
     }
     if "sensitivity_contour_vector" in dataset:
@@ -219,8 +219,12 @@ def _draw_chip(
     return _Drawing(title, caption, plot_chip(chip))
 
 
-def _draw_surface(surfaces: dict[str, SurfaceError] | None) -> _Drawing:
+def _draw_surface(
+    surfaces: dict[str, SurfaceError] | None, left_out: str | None
+) -> _Drawing:
     title = "Error of the machined surface"
+    if left_out:
+        return _Drawing(title, left_out)
     if surfaces is None:
         return _Drawing(title, "no surface error was computed")
     if not any(item.is_across.any() for item in surfaces.values()):

@@ -123,8 +123,10 @@ def _statement(row: str, line: int, reader: _Apt) -> None:
         if any(_is_number(found) and float(found) != plain for found, plain in pairs):
             message = "a frame that is moved or turned is not supported."
             reader.refuse(line, row, message)
-        else:
+        elif all(_is_number(part) for part in parts):
             reader.out.note(word, "changes no motion here", line)
+        else:
+            reader.out.note(word, "names a frame, which is taken to be work", line)
     elif word == "CUTCOM":
         sentence = "the points are taken to be those of the tool's centre"
         reader.out.note(word, sentence, line)

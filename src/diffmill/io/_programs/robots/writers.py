@@ -177,8 +177,13 @@ def _goes(move: Move) -> bool:
 
 
 def _turns(moves: Sequence[Move], index: int) -> bool:
-    """Return whether a move leads to another axis than the one before it."""
-    return index > 0 and moves[index].axis != moves[index - 1].axis
+    """Return whether a move leads to another axis, as it is written, than before."""
+    if index == 0 or moves[index].axis == moves[index - 1].axis:
+        return False
+    before, after = (
+        _frame(moves[index].end, moves[k].axis) for k in (index - 1, index)
+    )
+    return before != after
 
 
 def _time_blocks(moves: list[Move], is_spline: bool) -> list[str]:
