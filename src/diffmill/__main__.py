@@ -21,7 +21,11 @@ def run() -> NoReturn:
     more, which cannot be interrupted. What a command writes is closed by then.
     """
     gc.set_threshold(_OBJECTS)
-    code = main()
+    try:
+        code = main()
+    except KeyboardInterrupt:
+        # A second one, while the first was told.
+        code = 1
     for stream in filter(None, (sys.stdout, sys.stderr)):
         try:
             stream.flush()

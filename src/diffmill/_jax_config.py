@@ -4,11 +4,14 @@ A script has settings of its own: it asks for the cache, and for nothing else.
 """
 
 import contextlib
+import errno
 import os
 import pathlib
 import sys
 import tempfile
 
+# Folder of traced programs within that of compiled ones.
+PROGRAMS = "programs"
 # The newer emitters of fused loops compile a third longer, for code that is no faster.
 # An unknown flag ends a process, so it is set only where it is known.
 _FAST_COMPILING, _KNOWN = "--xla_cpu_use_fusion_emitters=false", "0.10."
@@ -34,12 +37,12 @@ def configure_jax(precision: str = "float64") -> str:
     try:
         use_compile_cache()
     except OSError as error:
-        # A cache that cannot be written to costs compile time, not the run.
+        # A cache that cannot be used costs compile time, not the run.
         jax.config.update("jax_enable_compilation_cache", False)
         return (
-            f"the compile cache {error.filename} cannot be written to "
-            f"({error.strerror}), so that every run compiles anew; "
-            "JAX_COMPILATION_CACHE_DIR names another folder"
+            f"the compile cache {error.filename} is not used ({error.strerror}), so "
+            "that every run compiles anew; JAX_COMPILATION_CACHE_DIR names another "
+            "folder"
         )
     return ""
 
@@ -59,7 +62,7 @@ def use_compile_cache(folder: str | os.PathLike[str] | None = None) -> str:
         The folder.
 
     Raises:
-        OSError: The folder cannot be written to.
+        OSError: The folder cannot be written to, or somebody else can write to it.
     """
     import jax
 
@@ -76,7 +79,8 @@ def use_compile_cache(folder: str | os.PathLike[str] | None = None) -> str:
     # A store of another kind, such as a bucket, is none that we can look into.
     if "://" not in place:
         try:
-            pathlib.Path(place).mkdir(parents=True, exist_ok=True)
+            pathlib.Path(place).mkdir(mode=0o700, parents=True, exist_ok=True)
+            _refuse_shared(place)
             with tempfile.TemporaryFile(dir=place):
                 pass
         except OSError as error:
@@ -84,6 +88,21 @@ def use_compile_cache(folder: str | os.PathLike[str] | None = None) -> str:
     jax.config.update("jax_compilation_cache_dir", place)
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
     return place
+
+
+def _refuse_shared(place: str) -> None:
+    """Refuse a folder to which somebody else can write: its programs are executed."""
+    if os.name == "nt":
+        return
+    for folder in (place, os.path.join(place, PROGRAMS)):
+        if not os.path.lexists(folder):
+            continue
+        found = os.stat(folder)
+        if found.st_uid != os.geteuid():
+            raise OSError(errno.EPERM, "it belongs to another user", place)
+        if found.st_mode & 0o022:
+            text = "others can write to it: chmod -R go-w makes it yours alone"
+            raise OSError(errno.EPERM, text, place)
 
 
 def cache_folder() -> pathlib.Path:

@@ -1,20 +1,39 @@
 """A folder or a file of results: complete, or absent.
 
 A folder is checked before anything is imported or computed. Both are filled under
-another name, which is changed at the end.
+another name, which is changed at the end. That name begins with a digest of the final
+one, so that it is short, and ends in letters that nobody can foresee. One run at a time
+holds a lock beside its folder and removes the parts of runs that were killed.
 """
 
 import contextlib
+import errno
+import hashlib
 import itertools
 import os
 import pathlib
 import shutil
+import signal
 import tempfile
+import threading
 from collections.abc import Callable, Iterable, Iterator
 from typing import NamedTuple, TypeAlias
 
+try:
+    import fcntl
+except ImportError:
+    # Windows has no locks of this kind.
+    fcntl = None
+
 # Names of the files of the last run, so that `force` replaces those and no others.
 _MANIFEST = "manifest.txt"
+_CHECKPOINT = ".checkpoint"
+# Longest name of a file [bytes].
+_NAME_MAX = 255
+# How the names of all parts begin.
+_PART = ".diffmill-"
+# What a file system answers that knows no locks.
+_NO_LOCKS = (errno.ENOSYS, errno.ENOTSUP, errno.ENOLCK)
 # Called with a temporary folder, to write any number of files to.
 Fill: TypeAlias = Callable[[pathlib.Path], object]
 
@@ -80,8 +99,44 @@ class ResultsFolder(NamedTuple):
             return named
         # "." and ".." have no name of their own.
         base = self.path if named.name in ("", "..") else named
-        beside = (base.with_name(f"{base.name}-{k}") for k in itertools.count(2))
+        beside = (sibling(base, f"-{k}") for k in itertools.count(2))
         return next(at for at in beside if is_free(at))
+
+    @contextlib.contextmanager
+    def locked(self) -> Iterator[str]:
+        """Lock the folder against other runs; remove the parts that killed runs left.
+
+        Folders above it that are made for the lock and stay empty are removed.
+
+        Yields:
+            A note where the file system knows no locks, else an empty text.
+
+        Raises:
+            ResultsError: Another run holds the folder.
+            OSError: No lock can be made.
+        """
+        above = [self.path.parent, *self.path.parent.parents]
+        made = list(itertools.takewhile(lambda folder: not folder.exists(), above))
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        lock = self.path.with_name(f"{_part_prefix(self.path)}lock")
+        try:
+            with _locked(lock, self.name) as note:
+                for path in (self.path, self.checkpoint):
+                    remove_parts(path.parent, _part_prefix(path), but=lock)
+                yield note
+        finally:
+            with contextlib.suppress(OSError):
+                for folder in made:
+                    folder.rmdir()
+
+    @property
+    def checkpoint(self) -> pathlib.Path:
+        """The file beside the folder that keeps what an unfinished run has found."""
+        return sibling(self.path, _CHECKPOINT)
+
+    def has_unfinished_run(self) -> bool:
+        """Return whether the results are of a run that has not finished its figures."""
+        return self.checkpoint.exists() and bool(self._manifest())
 
     def write(self, fill: Fill, *, force: bool = False) -> None:
         """Write a folder of files, all of them or nothing.
@@ -96,7 +151,7 @@ class ResultsFolder(NamedTuple):
         """
         self.check(force=force)
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        with self._filled(fill) as temporary:
+        with self._filled(fill) as temporary, _uninterrupted():
             self._publish(temporary)
 
     def extend(self, fill: Fill) -> None:
@@ -110,7 +165,8 @@ class ResultsFolder(NamedTuple):
         """
         with self._filled(fill) as temporary:
             names = {p.name for p in temporary.iterdir()} | set(self._manifest())
-            self._take(temporary, names)
+            with _uninterrupted():
+                self._take(temporary, names)
 
     def has_place_for(self, name: str) -> bool:
         """Return whether a file of that name lies directly in the folder."""
@@ -120,7 +176,7 @@ class ResultsFolder(NamedTuple):
     def _filled(self, fill: Fill) -> Iterator[pathlib.Path]:
         """Yield a temporary sibling of the folder, filled; remove what is left."""
         folder = self.path
-        made = tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent)
+        made = tempfile.mkdtemp(prefix=_part_prefix(folder), dir=folder.parent)
         temporary = pathlib.Path(made)
         try:
             try:
@@ -141,10 +197,7 @@ class ResultsFolder(NamedTuple):
             self._take(temporary, names)
             return
         _write_manifest(temporary, names)
-        # A temporary folder is private to its owner; a result is like any other folder.
-        mask = os.umask(0)
-        os.umask(mask)
-        temporary.chmod(0o777 & ~mask)
+        temporary.chmod(0o777 & ~_umask())
         if folder.is_dir():
             folder.rmdir()
         os.rename(temporary, folder)
@@ -182,22 +235,151 @@ def _write_manifest(folder: pathlib.Path, names: Iterable[str]) -> None:
     (folder / _MANIFEST).write_text("\n".join(sorted({*names, _MANIFEST})) + "\n")
 
 
-def write_whole(file: pathlib.Path, content: bytes | memoryview) -> None:
+def write_whole(
+    file: pathlib.Path,
+    content: bytes | memoryview,
+    *,
+    previous: pathlib.Path | None = None,
+) -> None:
     """Write a file, all of it or nothing; replace one that is there.
 
     Args:
         file: The file.
         content: What it is to hold.
+        previous: The name that the one before gets; None if it is not kept.
 
     Raises:
         OSError: It cannot be written; the error names it.
     """
-    part = file.with_name(f".{file.name}.{os.getpid()}")
+    part = None
     try:
-        part.write_bytes(content)
+        handle, part = tempfile.mkstemp(prefix=_part_prefix(file), dir=file.parent)
+        with os.fdopen(handle, "wb") as stream:
+            stream.write(content)
+            stream.flush()
+            os.fsync(handle)
+        # A temporary file is private to its owner; a result is like any other file.
+        os.chmod(part, 0o666 & ~_umask())
+        if previous is not None:
+            # Another writer may have renamed it already.
+            with contextlib.suppress(FileNotFoundError):
+                os.replace(file, previous)
         os.replace(part, file)
+        _flush_folder(file.parent)
     except OSError as error:
         raise OSError(error.errno, error.strerror, str(file)) from error
     finally:
-        with contextlib.suppress(OSError):
-            part.unlink()
+        if part is not None:
+            with contextlib.suppress(OSError):
+                os.unlink(part)
+
+
+def sibling(path: pathlib.Path, suffix: str) -> pathlib.Path:
+    """Return the path beside another one, whose name a suffix lengthens.
+
+    A name that would be too long for a file system is cut, and a digest put in.
+
+    Args:
+        path: The other path.
+        suffix: The suffix.
+    """
+    name, end = os.fsencode(path.name), os.fsencode(suffix)
+    if len(name) + len(end) > _NAME_MAX:
+        digest = f"-{_digest(path)}".encode()
+        name = name[: _NAME_MAX - len(end) - len(digest)] + digest
+    return path.with_name(os.fsdecode(name + end))
+
+
+@contextlib.contextmanager
+def _locked(lock: pathlib.Path, name: str) -> Iterator[str]:
+    """Hold a lock, a file that stays empty; remove it afterwards."""
+    if fcntl is None:
+        yield ""
+        return
+    while True:
+        # A link is not followed: it may have been put there to harm another file.
+        handle = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
+        note = ""
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            if error.errno in _NO_LOCKS:
+                note = f"{lock.parent} is on a file system without locks, so that "
+                note += "nothing hinders two runs from writing to one folder"
+            else:
+                os.close(handle)
+                raise ResultsError(
+                    f"{name}: another run is writing there; wait for its end, or name "
+                    "another place"
+                ) from error
+        # Who held it before may have removed it meanwhile.
+        with contextlib.suppress(FileNotFoundError):
+            if os.path.samestat(os.stat(lock), os.fstat(handle)):
+                break
+        os.close(handle)
+    try:
+        yield note
+    finally:
+        lock.unlink(missing_ok=True)
+        os.close(handle)
+
+
+def _digest(path: pathlib.Path) -> str:
+    return hashlib.sha256(os.fsencode(path.name)).hexdigest()[:12]
+
+
+def _part_prefix(path: pathlib.Path) -> str:
+    """Return how the names of the parts of a file or folder begin."""
+    return f"{_PART}{_digest(path)}-"
+
+
+def remove_parts(
+    folder: pathlib.Path, prefix: str = _PART, *, but: pathlib.Path | None = None
+) -> None:
+    """Remove parts that killed runs left; only one who holds the lock may.
+
+    Args:
+        folder: Where they lie.
+        prefix: How their names begin; of all parts if not given.
+        but: The lock.
+    """
+    for part in folder.glob(f"{prefix}*"):
+        if part.is_dir() and not part.is_symlink():
+            shutil.rmtree(part, ignore_errors=True)
+        elif part != but:
+            part.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def _uninterrupted() -> Iterator[None]:
+    """Put off interruptions until files have their final names."""
+    came: list[int] = []
+    handlers = {}
+    if threading.current_thread() is threading.main_thread():
+        for number in (signal.SIGINT, signal.SIGTERM):
+            handlers[number] = signal.signal(number, lambda n, frame: came.append(n))
+    try:
+        yield
+    finally:
+        for number, handler in handlers.items():
+            # None stands for one that was not set from Python.
+            signal.signal(number, signal.SIG_DFL if handler is None else handler)
+        for number in came:
+            signal.raise_signal(number)
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
+
+
+def _flush_folder(folder: pathlib.Path) -> None:
+    """Make a rename last; not every system can open a folder."""
+    if os.name == "nt":
+        return
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)

@@ -2,10 +2,10 @@
 
 import importlib.util
 import pathlib
-import sys
 from typing import TYPE_CHECKING, NamedTuple
 
-from ._session.errors import BadInput, bad_input
+from .._results_folder import remove_parts
+from ._session.errors import BadInput, bad_input, interruption_leaves, locked_folder
 from ._session.progress import Progress
 
 if TYPE_CHECKING:
@@ -65,15 +65,25 @@ def run_campaign_file(
             "note: the jobs run one after the other: with Dask, the extra `campaign` "
             "of diffmill, each core gets a worker (docs/campaign.md)"
         )
-    if force:
-        for kept in folder.glob("jobs/*.json"):
-            kept.unlink()
 
     def tell(done: int, count: int, status: str) -> None:
         progress.update(f"{done} of {count} jobs have a result", done / count)
 
+    left = f"{folder} keeps the jobs that are done: the same command goes on from there"
+    jobs = folder / "jobs"
     try:
-        with progress:
+        with (
+            locked_folder(jobs) as unlocked,
+            interruption_leaves(lambda: left),
+            progress,
+        ):
+            if unlocked:
+                progress.say(f"note: {unlocked}")
+            # A worker's part has no lock of its own.
+            remove_parts(jobs)
+            if force:
+                for kept in jobs.glob("*.json"):
+                    kept.unlink()
             dataset = run_campaign(
                 campaign,
                 folder,
@@ -87,13 +97,6 @@ def run_campaign_file(
             f"campaign: {error}; Dask is the extra `campaign` of diffmill, "
             "--workers 0 does without it"
         ) from error
-    except KeyboardInterrupt:
-        print(
-            f"error: interrupted; {folder} keeps the jobs that are done: the same "
-            "command goes on from there",
-            file=sys.stderr,
-        )
-        return 1
     for line in _lines(campaign, dataset, folder):
         progress.answer(line)
     return int(dataset.attrs["incomplete"])

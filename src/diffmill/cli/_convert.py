@@ -4,7 +4,7 @@ import dataclasses
 import math
 import pathlib
 
-from .._results_folder import write_whole
+from .._results_folder import ResultsFolder, write_whole
 from ._session.errors import BadInput
 
 # Spindle speeds that a note lists.
@@ -71,7 +71,8 @@ def convert_file(
         tolerance=tolerance,
         is_spline=is_spline,
     )
-    write_whole(target, text.encode())
+    with ResultsFolder(target, str(target)).locked():
+        write_whole(target, text.encode())
     return [f"wrote {target}", *lines]
 
 

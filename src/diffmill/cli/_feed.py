@@ -10,7 +10,14 @@ from .._jax_config import configure_jax
 from .._results_folder import ResultsFolder
 from ._run_job import with_job
 from ._session.attempts import Attempts
-from ._session.errors import ONLY_SIMULATE, BadInput, bad_correction, bad_input
+from ._session.errors import (
+    ONLY_SIMULATE,
+    BadInput,
+    bad_correction,
+    bad_input,
+    interruption_leaves,
+    locked_folder,
+)
 from ._session.progress import Progress
 
 if TYPE_CHECKING:
@@ -64,15 +71,29 @@ def run_feed(
     with bad_input():
         ResultsFolder.of(folder).check(force=force)
     # What takes seconds to import waits until it is needed.
-    from .._result import SimulationFailed
     from ..config import job_precision, load_job
 
     with bad_input():
         configure_jax(job_precision(file))
         job = load_job(file, allow_outside=allow_outside)
         _check(job, file, request)
-    for note in job.notes:
-        progress.say(f"note: {note}")
+    with locked_folder(folder) as unlocked:
+        for note in (*job.notes, *filter(None, [unlocked])):
+            progress.say(f"note: {note}")
+        return _tune(job, request, folder, progress, force=force)
+
+
+def _tune(
+    job: "Job",
+    request: FeedRequest,
+    folder: pathlib.Path,
+    progress: Progress,
+    *,
+    force: bool,
+) -> int:
+    """Compute, and write what is found; return the exit code."""
+    from .._result import SimulationFailed
+
     try:
         with progress:
             found = _compute(job, request, progress)
@@ -199,7 +220,8 @@ def _write(
         with attempts.at("figure"):
             save_figure(plot_feed(even, along), target / "feed.png")
 
-    attempts.add(folder, draw)
+    with interruption_leaves(lambda: f"{folder} has the results without the figure"):
+        attempts.add(folder, draw)
     return attempts.conclude(folder)
 
 

@@ -3,16 +3,17 @@
 import _thread
 import os
 import pathlib
+import signal
 import sys
 import threading
 from collections.abc import Callable, Sequence
 from importlib import metadata
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import tyro
 
 from .._toml import read_toml
-from ._session.errors import BadInput, bad_input
+from ._session.errors import BadInput, Interrupted, bad_input
 from ._session.usage import check_usage, shell_of
 
 if TYPE_CHECKING:
@@ -402,12 +403,19 @@ def _pass_interrupts_on() -> None:
 
     def told(found: "sys.UnraisableHookArgs") -> None:
         if issubclass(found.exc_type, KeyboardInterrupt):
-            # A little later, or it would be raised in here.
-            threading.Timer(0.05, _thread.interrupt_main).start()
+            # A little later, or it would be raised in here. By SIGTERM, since a shell
+            # lets what it starts in the background ignore SIGINT.
+            again = threading.Timer(0.05, _thread.interrupt_main, [signal.SIGTERM])
+            again.start()
         else:
             before(found)
 
     sys.unraisablehook = told
+
+
+def _interrupt(number: int, frame: object) -> NoReturn:
+    """End a run that a batch system terminates as Ctrl-C does."""
+    raise KeyboardInterrupt
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -433,6 +441,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     }
     arguments = sys.argv[1:] if argv is None else list(argv)
     if argv is None:
+        signal.signal(signal.SIGTERM, _interrupt)
         _pass_interrupts_on()
     try:
         if arguments == ["--version"]:
@@ -454,8 +463,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BadInput as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
-    except KeyboardInterrupt:
-        print("error: interrupted; no results were written", file=sys.stderr)
+    except (KeyboardInterrupt, Interrupted) as error:
+        print(
+            f"error: interrupted; {error or 'no results were written'}",
+            file=sys.stderr,
+        )
         return 1
     except BrokenPipeError:
         # Who reads has enough, such as `head`; nothing more can be said there.

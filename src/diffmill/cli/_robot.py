@@ -13,7 +13,7 @@ from .._results_folder import ResultsFolder
 from .._toml import parse_toml
 from ._robot_facts import JointPositions, RobotFacts, robot_facts
 from ._robot_text import robot_lines
-from ._session.errors import bad_input
+from ._session.errors import bad_input, locked_folder
 from ._session.progress import Progress
 
 if TYPE_CHECKING:
@@ -78,7 +78,9 @@ def run_robot(
         facts["notes"].append(note)
     if not progress.is_quiet:
         print("\n".join(robot_lines(facts)))
-    with progress:
+    with locked_folder(folder) as unlocked, progress:
+        if unlocked:
+            progress.say(f"note: {unlocked}")
         progress.update("figures")
         fill = _filler(robot, q, facts)
         ResultsFolder.of(folder).write(fill, force=force)

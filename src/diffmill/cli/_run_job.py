@@ -22,6 +22,8 @@ from ._session.errors import (
     BadInput,
     bad_correction,
     bad_input,
+    interruption_leaves,
+    locked_folder,
 )
 from ._session.memory import give_back_memory
 from ._session.progress import Progress
@@ -29,6 +31,7 @@ from ._session.progress import Progress
 if TYPE_CHECKING:
     from .._job import Job
     from .._result import SimulationFailed
+    from ..config import JobProgram
 
 # xarray and the parts that compute are imported when a job runs.
 Dataset: TypeAlias = Any
@@ -72,12 +75,13 @@ def run_job(
     band = _length(tolerance_band)
     folder = pathlib.Path(f"{file.stem}-{command}") if out is None else out
     with bad_input():
-        ResultsFolder.of(folder).check(force=force)
+        results = ResultsFolder.of(folder)
+        # A run that was interrupted after its results goes on into the same folder.
+        may_replace = force or (resume and results.has_unfinished_run())
+        results.check(force=may_replace)
     # What takes seconds to import waits until it is needed.
-    from .._result import SimulationFailed
     from .._toml import JobError
     from ..config import JobProgram, job_precision, load_job
-    from ..io import write_results
 
     # Compiled code leaves the interpreter free to import what comes later.
     importing = threading.Thread(target=_import_later, daemon=True)
@@ -99,83 +103,141 @@ def run_job(
             raise JobError(file, [ONLY_SIMULATE])
         if command == "correct" and not _can_be_written(job):
             raise JobError(file, [NO_TILT])
-    checkpoint = program = None
-    if command == "correct":
-        with bad_input():
-            if job.output.moves_ends:
-                program = JobProgram.of_job(file, allow_outside=allow_outside)
-            checkpoint = Checkpoint(folder, job)
-            checkpoint.open(resume=resume, force=force, progress=progress)
-    told = len(job.notes)
-    for note in (*job.notes, *filter(None, [uncached])):
-        progress.say(f"note: {note}")
-    start = time.perf_counter()
-    try:
-        with progress:
-            outcome = _compute(command, job, progress, checkpoint)
-    except SimulationFailed as failure:
-        return _keep_failure(folder, job, failure, force=force)
-    except BadInput:
-        # Of no use to the job as it will be, and in its way.
-        if checkpoint is not None and checkpoint.is_ours:
-            checkpoint.remove()
-        raise
-    except KeyboardInterrupt:
-        if checkpoint is None or not checkpoint.file.exists():
-            raise
-        print(
-            f"error: interrupted; no results were written, but {checkpoint.file.path} "
-            "keeps what was found: the same command with --resume goes on from there",
-            file=sys.stderr,
-        )
-        return 1
-    seconds = time.perf_counter() - start
-    importing.join()
-    # What programs took while they were made is more than results and figures take.
-    give_back_memory()
-    if checkpoint is not None:
-        seconds += checkpoint.spent
-    solutions = {"predicted": outcome} if command == "simulate" else outcome.cases
-    final = outcome if command == "simulate" else outcome.after
-    job = job.with_intervals(final.stock.interval_counts)
-    for note in job.notes[told:]:
-        progress.say(f"note: {note}")
-    surfaces = None
-    if command == "simulate":
-        dataset = with_job(outcome.to_dataset(), job)
-    else:
-        surfaces, left_out = _surfaces(outcome)
-        dataset = with_job(outcome.to_dataset(surfaces), job)
-        if left_out:
-            dataset.attrs["surface_left_out"] = left_out
-            progress.say(f"warning: without the error of the surface: {left_out}")
-    band = float(job.correction.tolerance_band) if band is None else band
-    dataset.attrs["tolerance_band"] = band
-    dataset.attrs.setdefault("wall_time_s", seconds)
-    files = {}
-    if command == "correct":
-        from ._written.corrected import corrected_files
-        from ._written.moved_ends import moved_files
+    with locked_folder(folder) as unlocked:
+        run = _Run(command, job, folder, may_replace, progress)
+        if command == "correct":
+            with bad_input():
+                if job.output.moves_ends:
+                    run.program = JobProgram.of_job(file, allow_outside=allow_outside)
+                run.checkpoint = Checkpoint(folder, job, progress)
+                run.checkpoint.open(resume=resume, force=force)
+        for note in (*job.notes, *filter(None, [uncached, unlocked])):
+            progress.say(f"note: {note}")
+        with interruption_leaves(run.left):
+            return run.finish(band, importing)
 
-        commanded = np.asarray(outcome.commanded, float)
-        files, said = corrected_files(job, commanded)
-        if job.output.moves_ends:
-            more, lines = moved_files(job, program, commanded)
-            files, said = files | more, [*said, *lines]
-        for line in said:
-            progress.say(line)
-    # Whatever fails from here on, the run is kept.
-    folder = ResultsFolder.of(folder).still_free(force=force)
-    write_results(folder, dataset, files=files, stock=final.stock, force=force)
-    if checkpoint is not None:
-        checkpoint.remove()
-    progress.answer(_summary(dataset))
-    progress.say(f"results: {folder}; the run took {seconds:.1f} s with compilation")
-    run = FinishedRun(job, solutions, final, dataset, program, surfaces)
-    code = _analyse(folder, run, progress)
-    if progress.prints_json:
-        print(json.dumps(_figures(dataset, folder, job.notes), indent=2))
-    return code
+
+class _Run:
+    """A run of a job whose folder is locked.
+
+    Attributes:
+        checkpoint: The checkpoint of a correction.
+        program: The job's program before it was timed, where its block ends are moved.
+    """
+
+    checkpoint: Checkpoint | None = None
+    program: "JobProgram | None" = None
+
+    def __init__(
+        self,
+        command: str,
+        job: "Job",
+        folder: pathlib.Path,
+        may_replace: bool,
+        progress: Progress,
+    ):
+        self._command, self._job, self._progress = command, job, progress
+        self._folder, self._may_replace = folder, may_replace
+        self._is_written = False
+
+    def left(self) -> str:
+        """Return what an interruption leaves, as a sentence."""
+        resumes = ""
+        if self.checkpoint is not None and self.checkpoint.file.exists():
+            resumes = "the same command with --resume goes on from there"
+        if self._is_written:
+            more = f"; {resumes}" if resumes else ""
+            return f"{self._folder} has the results without figures and report{more}"
+        if self.checkpoint is not None and resumes:
+            return (
+                f"no results were written, but {self.checkpoint.file.path} keeps what "
+                f"was found: {resumes}"
+            )
+        return "no results were written"
+
+    def finish(self, band: float | None, importing: threading.Thread) -> int:
+        """Run the job, write its results and figures; return the exit code."""
+        from .._result import SimulationFailed
+
+        start = time.perf_counter()
+        try:
+            with self._progress:
+                outcome = _compute(
+                    self._command, self._job, self._progress, self.checkpoint
+                )
+        except SimulationFailed as failure:
+            return _keep_failure(
+                self._folder, self._job, failure, force=self._may_replace
+            )
+        except BadInput:
+            # Of no use to the job as it will be, and in its way.
+            if self.checkpoint is not None and self.checkpoint.is_ours:
+                self.checkpoint.remove()
+            raise
+        seconds = time.perf_counter() - start
+        importing.join()
+        # What programs took while they were made is more than results and figures take.
+        give_back_memory()
+        if self.checkpoint is not None:
+            seconds += self.checkpoint.spent
+        run = self._write(outcome, band, seconds)
+        self._progress.answer(_summary(run.dataset))
+        self._progress.say(
+            f"results: {self._folder}; the run took {seconds:.1f} s with compilation"
+        )
+        start = time.perf_counter()
+        code = add_analyses(self._folder, run, self._progress)
+        seconds = time.perf_counter() - start
+        self._progress.say(f"analyses, figures and report took another {seconds:.1f} s")
+        if self.checkpoint is not None:
+            self.checkpoint.remove()
+        if self._progress.prints_json:
+            figures = _figures(run.dataset, self._folder, run.job.notes)
+            print(json.dumps(figures, indent=2))
+        return code
+
+    def _write(
+        self, outcome: Outcome, band: float | None, seconds: float
+    ) -> FinishedRun:
+        """Write what was computed."""
+        from ..io import write_results
+
+        progress, is_correction = self._progress, self._command == "correct"
+        solutions = outcome.cases if is_correction else {"predicted": outcome}
+        final = outcome.after if is_correction else outcome
+        job = self._job.with_intervals(final.stock.interval_counts)
+        for note in job.notes[len(self._job.notes) :]:
+            progress.say(f"note: {note}")
+        surfaces, files = None, {}
+        if not is_correction:
+            dataset = with_job(outcome.to_dataset(), job)
+        else:
+            surfaces, left_out = _surfaces(outcome)
+            dataset = with_job(outcome.to_dataset(surfaces), job)
+            if left_out:
+                dataset.attrs["surface_left_out"] = left_out
+                progress.say(f"warning: without the error of the surface: {left_out}")
+            from ._written.corrected import corrected_files
+            from ._written.moved_ends import moved_files
+
+            commanded = np.asarray(outcome.commanded, float)
+            files, said = corrected_files(job, commanded)
+            if job.output.moves_ends:
+                more, lines = moved_files(job, self.program, commanded)
+                files, said = files | more, [*said, *lines]
+            for line in said:
+                progress.say(line)
+        band = float(job.correction.tolerance_band) if band is None else band
+        dataset.attrs["tolerance_band"] = band
+        dataset.attrs.setdefault("wall_time_s", seconds)
+        # Whatever fails from here on, the run is kept.
+        force = self._may_replace
+        self._folder = ResultsFolder.of(self._folder).still_free(force=force)
+        write_results(
+            self._folder, dataset, files=files, stock=final.stock, force=force
+        )
+        self._is_written = True
+        return FinishedRun(job, solutions, final, dataset, self.program, surfaces)
 
 
 def _surfaces(outcome: Outcome) -> tuple[dict[str, Any], str]:
@@ -217,22 +279,6 @@ def _length(text: str | None) -> float | None:
         f"--tolerance-band: found {text!r}, but a length above 0 with its unit is "
         'required, such as "20 um"'
     )
-
-
-def _analyse(folder: pathlib.Path, run: FinishedRun, progress: Progress) -> int:
-    """Add analyses and figures to written results; return the exit code."""
-    start = time.perf_counter()
-    try:
-        code = add_analyses(folder, run, progress)
-    except KeyboardInterrupt:
-        print(
-            f"error: interrupted; {folder} has the results without figures and report",
-            file=sys.stderr,
-        )
-        return 1
-    seconds = time.perf_counter() - start
-    progress.say(f"analyses, figures and report took another {seconds:.1f} s")
-    return code
 
 
 def _figures(

@@ -9,7 +9,6 @@ that is killed at any moment leaves at least one that is whole.
 import dataclasses
 import hashlib
 import io
-import os
 import pathlib
 import zipfile
 from collections.abc import Mapping
@@ -18,6 +17,8 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Shaped
+
+from .._results_folder import sibling, write_whole
 
 Arrays: TypeAlias = Mapping[str, Shaped[np.ndarray, "..."]]
 
@@ -89,7 +90,7 @@ class CheckpointFile(NamedTuple):
     @property
     def previous(self) -> pathlib.Path:
         """The file that holds the checkpoint before."""
-        return self.path.with_name(self.path.name + _PREVIOUS)
+        return sibling(self.path, _PREVIOUS)
 
     def exists(self) -> bool:
         """Return whether a checkpoint, or the one before it, is there."""
@@ -97,8 +98,8 @@ class CheckpointFile(NamedTuple):
 
     def remove(self) -> None:
         """Remove the checkpoint and the one before it, if they are there."""
-        self.path.unlink(missing_ok=True)
         self.previous.unlink(missing_ok=True)
+        self.path.unlink(missing_ok=True)
 
     def write(self, arrays: Arrays) -> None:
         """Write a checkpoint, and keep the one before.
@@ -109,21 +110,12 @@ class CheckpointFile(NamedTuple):
         Raises:
             OSError: The file cannot be written; the earlier ones are as they were.
         """
-        target = self.path
-        temporary = target.with_name(target.name + ".writing")
-        content = _content(arrays, self.job_fingerprint)
-        with open(temporary, "wb") as file:
-            version = b"%d" % _VERSION
-            file.write(b"%s %s %s\n" % (_MAGIC, version, _digest(version, content)))
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
+        version, content = b"%d" % _VERSION, _content(arrays, self.job_fingerprint)
+        first = b"%s %s %s\n" % (_MAGIC, version, _digest(version, content))
         # A damaged one must not take the place of the whole one that the run went on
         # from.
-        if _is_whole(target):
-            os.replace(target, self.previous)
-        os.replace(temporary, target)
-        _flush_folder(target.parent)
+        previous = self.previous if _is_whole(self.path) else None
+        write_whole(self.path, first + content, previous=previous)
 
     def latest(self) -> "LatestCheckpoint":
         """Return the newest checkpoint that is whole.
@@ -216,17 +208,6 @@ def _is_whole(file: pathlib.Path) -> bool:
 
 def _versions() -> str:
     return ", ".join(f"{name} {metadata.version(name)}" for name in _PACKAGES)
-
-
-def _flush_folder(folder: pathlib.Path) -> None:
-    """Make a rename last; not every system can open a folder."""
-    if os.name == "nt":
-        return
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
 
 
 def _feed(digest: Any, value: Any) -> None:

@@ -18,9 +18,10 @@ from typing import NamedTuple
 import jax
 import jax.export
 
+from .._jax_config import PROGRAMS
+
 # Beyond so many, those that were not used for longest go.
 _MOST_PROGRAMS = 400
-_FOLDER = "programs"
 # When this process began, or a little later.
 _BEGAN = time.time()
 # What JAX is told that changes no program.
@@ -93,7 +94,7 @@ def write_program(name: str, program: TracedProgram) -> None:
     body = program.result.encode() + b"\n" + program.exported.serialize()
     digest = hashlib.sha256(body).hexdigest().encode()
     with contextlib.suppress(OSError):
-        folder.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         # Another process may read or write the same: it sees the whole or nothing.
         handle, part = tempfile.mkstemp(dir=folder, prefix="part-")
         with os.fdopen(handle, "wb") as file:
@@ -118,7 +119,7 @@ def _last_use(path: pathlib.Path) -> float:
 def _folder() -> pathlib.Path | None:
     parent: str | None = jax.config.jax_compilation_cache_dir  # pyright: ignore[reportAttributeAccessIssue]
     # A cache in a bucket is JAX's own affair.
-    return None if parent is None or "://" in parent else pathlib.Path(parent, _FOLDER)
+    return None if parent is None or "://" in parent else pathlib.Path(parent, PROGRAMS)
 
 
 @functools.cache

@@ -9,7 +9,12 @@ from typing import TYPE_CHECKING, Any, assert_never
 from ..._jax_config import configure_jax
 from ..._results_folder import ResultsFolder
 from .._session.attempts import Attempts
-from .._session.errors import BadInput, bad_input
+from .._session.errors import (
+    BadInput,
+    bad_input,
+    interruption_leaves,
+    locked_folder,
+)
 from .._session.progress import Progress
 from .report import Report
 
@@ -43,15 +48,32 @@ def run_identify(
         ResultsFolder.of(folder).check(force=force)
     # What takes seconds to import waits until it is needed.
     configure_jax()
-    from ..._result import SimulationFailed
     from ...config import load_identification
-    from ...identification import StudyError
-    from ...viz import save_figure
-    from .toml_snippets import snippet
 
     start = time.perf_counter()
     with bad_input():
         study = load_identification(file, forces, allow_outside=allow_outside)
+    with locked_folder(folder) as unlocked:
+        if unlocked:
+            progress.say(f"note: {unlocked}")
+        return _identify(file, study, folder, progress, force=force, start=start)
+
+
+def _identify(
+    file: pathlib.Path,
+    study: "Study",
+    folder: pathlib.Path,
+    progress: Progress,
+    *,
+    force: bool,
+    start: float,
+) -> int:
+    """Fit what a study asks for, and write it; return the exit code."""
+    from ..._result import SimulationFailed
+    from ...identification import StudyError
+    from ...viz import save_figure
+    from .toml_snippets import snippet
+
     try:
         with progress:
             report = reported(study, progress.update)
@@ -82,7 +104,8 @@ def run_identify(
             with attempts.at(f"figure {name}"):
                 save_figure(figure(), target / f"{name}.png")
 
-    with progress:
+    left = f"{folder} has the results without all figures"
+    with progress, interruption_leaves(lambda: left):
         progress.update("figures")
         attempts.add(folder, draw)
     progress.say(f"results: {folder} ({time.perf_counter() - start:.1f} s)")

@@ -1,6 +1,5 @@
 """Checkpoints of a long correction, and its resumption."""
 
-import os
 import pathlib
 import time
 from collections.abc import Mapping
@@ -8,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..._results_folder import ResultsFolder
 from .errors import BadInput
 from .progress import Progress
 
@@ -28,24 +28,22 @@ class Checkpoint:
         is_ours: Whether this run has written it or goes on from it.
     """
 
-    def __init__(self, folder: pathlib.Path, job: "Job"):
+    def __init__(self, folder: pathlib.Path, job: "Job", progress: Progress):
         from ...io import CheckpointFile
 
-        folder = pathlib.Path(os.path.realpath(folder))
-        path = folder.with_name(f"{folder.name}.checkpoint")
-        self.file = CheckpointFile.of_job(path, job)
+        self.file = CheckpointFile.of_job(ResultsFolder.of(folder).checkpoint, job)
         self.resumed: Mapping[str, np.ndarray] | None = None
         self.spent = 0.0
         self.is_ours = False
         self._began = time.perf_counter()
+        self._progress, self._has_failed = progress, False
 
-    def open(self, *, resume: bool, force: bool, progress: Progress) -> None:
+    def open(self, *, resume: bool, force: bool) -> None:
         """Read what an earlier run has kept, or see that none is overwritten.
 
         Args:
             resume: Whether to go on from the checkpoint.
             force: Whether an earlier one may be replaced.
-            progress: Told what is used and what was refused.
 
         Raises:
             BadInput: A checkpoint is there and neither is asked for.
@@ -60,10 +58,10 @@ class Checkpoint:
             return
         latest = self.file.latest()
         for note in latest.notes:
-            progress.say(f"warning: {note}")
+            self._progress.say(f"warning: {note}")
         found = latest.arrays
         if found is None:
-            progress.say(
+            self._progress.say(
                 f"note: no checkpoint at {self.file.path}; the run starts anew"
             )
             return
@@ -72,10 +70,19 @@ class Checkpoint:
         self.is_ours = True
 
     def write(self, arrays: Mapping[str, np.ndarray]) -> None:
-        """Keep what has been found so far."""
-        self.file.path.parent.mkdir(parents=True, exist_ok=True)
+        """Keep what has been found so far; where that fails, the run goes on."""
         spent = self.spent + time.perf_counter() - self._began
-        self.file.write({**arrays, _SPENT: np.asarray(spent)})
+        try:
+            self.file.write({**arrays, _SPENT: np.asarray(spent)})
+        except OSError as error:
+            if not self._has_failed:
+                self._progress.say(
+                    f"warning: the checkpoint {self.file.path} cannot be written: "
+                    f"{error.strerror}; the run goes on, but after an interruption "
+                    "the steps since the last checkpoint are lost"
+                )
+            self._has_failed = True
+            return
         self.is_ours = True
 
     def remove(self) -> None:

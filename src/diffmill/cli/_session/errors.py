@@ -1,7 +1,10 @@
 """Telling what a user got wrong from what a program got wrong."""
 
 import contextlib
-from collections.abc import Iterator
+import pathlib
+from collections.abc import Callable, Iterator
+
+from ..._results_folder import ResultsFolder
 
 # What commands say of a job that brings a command of its own.
 ONLY_SIMULATE = (
@@ -17,6 +20,39 @@ NO_TILT = (
 
 class BadInput(Exception):
     """Raise when a user's input is refused; nothing has been written."""
+
+
+class Interrupted(Exception):
+    """Raise for an interruption that leaves something; the message says what."""
+
+
+@contextlib.contextmanager
+def interruption_leaves(describe: Callable[[], str]) -> Iterator[None]:
+    """Turn an interruption into `Interrupted`.
+
+    Args:
+        describe: Called after an interruption, to tell what is there.
+    """
+    try:
+        yield
+    except KeyboardInterrupt as error:
+        raise Interrupted(describe()) from error
+
+
+@contextlib.contextmanager
+def locked_folder(folder: pathlib.Path) -> Iterator[str]:
+    """Hold a folder of results against other runs; remove what killed runs left.
+
+    Yields:
+        A note where the file system knows no locks, else an empty text.
+
+    Raises:
+        BadInput: Another run writes there.
+    """
+    with contextlib.ExitStack() as stack:
+        with bad_input():
+            note = stack.enter_context(ResultsFolder.of(folder).locked())
+        yield note
 
 
 @contextlib.contextmanager

@@ -1,0 +1,317 @@
+"""Full disks, second runs, signals and kills: nothing is lost, left over or untold."""
+
+import contextlib
+import errno
+import os
+import signal
+import sys
+
+import jax
+import numpy as np
+import pytest
+import xarray
+from slides_job import write_slides_job
+
+import diffmill as dm
+from diffmill import correction, io
+from diffmill.cli import main
+
+FOUND = {"method/mirror/command": np.zeros(3)}
+needs_locks = pytest.mark.skipif(os.name == "nt", reason="no file locks")
+
+
+@pytest.fixture
+def job(tmp_path, monkeypatch):
+    """A job in a folder of its own, which is the current one."""
+    place = tmp_path / "work"
+    place.mkdir()
+    monkeypatch.chdir(place)
+    return write_slides_job(place)
+
+
+def names(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+def write(out, fill, **options):
+    """Write a folder of results, filled by a function."""
+    io.write_results(out, xarray.Dataset(), fill=fill, **options)
+
+
+def correct_by(monkeypatch, run):
+    """Let a function stand for the computation of `diffmill correct`."""
+
+    def correct(job, *, on_checkpoint, **options):
+        run(on_checkpoint)
+        raise correction.InfeasibleLimit("no correction is computed here.")
+
+    monkeypatch.setattr(correction, "correct", correct)
+
+
+@contextlib.contextmanager
+def disk_is_full(monkeypatch):
+    def fail(file):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", fail)
+        yield
+
+
+def test_a_full_disk_at_a_checkpoint_is_said_once_and_the_run_goes_on(
+    job, monkeypatch, capsys
+):
+    before = names(job.parent)
+    seen = []
+
+    def run(on_checkpoint):
+        with disk_is_full(monkeypatch):
+            on_checkpoint(FOUND)
+            on_checkpoint(FOUND)
+            seen.append([n for n in names(job.parent) if not n.endswith("lock")])
+        on_checkpoint(FOUND)
+        seen.append(names(job.parent))
+
+    correct_by(monkeypatch, run)
+    assert main(["correct", "job.toml"]) == 2
+    said = capsys.readouterr().err
+    file = job.parent / "job-correct.checkpoint"
+    assert said.count("No space left on device") == 1
+    assert f"the checkpoint {file} cannot be written" in said
+    assert seen[0] == before
+    assert file.name in seen[1]
+
+
+def test_a_part_has_a_short_name_that_nobody_can_foresee(tmp_path):
+    parts = []
+
+    def fill(folder):
+        parts.append(folder.name)
+
+    out = tmp_path / ("o" * 255)
+    for _ in range(2):
+        write(out, fill, force=True)
+    assert parts[0] != parts[1]
+    assert max(map(len, parts)) < 40
+
+
+@pytest.mark.parametrize("length", [220, 236, 255])
+def test_a_folder_with_a_long_name_has_a_checkpoint(job, monkeypatch, capsys, length):
+    seen = []
+
+    def run(on_checkpoint):
+        on_checkpoint(FOUND)
+        on_checkpoint(FOUND)
+        seen.extend(name for name in names(job.parent) if name.startswith("o"))
+
+    correct_by(monkeypatch, run)
+    assert main(["correct", "job.toml", "--out", "o" * length]) == 2
+    assert "warning" not in capsys.readouterr().err
+    assert len(seen) == 2 and any(name.endswith(".checkpoint") for name in seen)
+
+
+def test_names_as_they_were_lead_nowhere(job, tmp_path):
+    victim = tmp_path / "victim"
+    victim.write_text("precious")
+    for name in ("run.checkpoint.writing", f".part.csv.{os.getpid()}"):
+        (job.parent / name).symlink_to(victim)
+    io.CheckpointFile(job.with_name("run.checkpoint"), "job").write(FOUND)
+    assert main(["convert", "part.ngc", "part.csv"]) == 0
+    assert victim.read_text() == "precious"
+    assert not job.with_name("run.checkpoint").is_symlink()
+
+
+def test_a_written_file_has_the_rights_of_any_other(job):
+    assert main(["convert", "part.ngc", "part.csv"]) == 0
+    modes = [job.with_name(name).stat().st_mode for name in ("part.csv", "part.ngc")]
+    assert modes[0] == modes[1]
+
+
+def test_a_writer_that_another_overtakes_leaves_whole_checkpoints(
+    tmp_path, monkeypatch
+):
+    file = io.CheckpointFile(tmp_path / "run.checkpoint", "job")
+    file.write(FOUND)
+    replace, overtaken = os.replace, []
+
+    def overtake(source, target):
+        if not overtaken:
+            overtaken.append(True)
+            file.write(FOUND)
+            file.path.unlink()
+        replace(source, target)
+
+    monkeypatch.setattr(os, "replace", overtake)
+    file.write(FOUND)
+    assert file.latest().notes == ()
+    assert names(tmp_path) == ["run.checkpoint", "run.checkpoint.previous"]
+
+
+@needs_locks
+@pytest.mark.parametrize("command", ["simulate", "correct", "feed"])
+def test_a_second_run_on_a_folder_is_refused_while_the_first_lives(
+    job, monkeypatch, capsys, command
+):
+    codes = []
+
+    def run(on_checkpoint):
+        codes.append(main([command, "job.toml", "--out", "a/out"]))
+
+    correct_by(monkeypatch, run)
+    assert main(["correct", "job.toml", "--out", "a/out"]) == 2
+    assert codes == [2]
+    assert "error: a/out: another run is writing there" in capsys.readouterr().err
+    # Nor does the lock stay, or the folder that was made for it.
+    assert names(job.parent) == ["arm.toml", "job.toml", "part.ngc"]
+
+
+@needs_locks
+def test_a_lock_that_is_a_link_is_refused(job, monkeypatch, capsys):
+    locks = []
+    correct_by(
+        monkeypatch, lambda keep: locks.extend(job.parent.glob(".diffmill-*lock"))
+    )
+    assert main(["correct", "job.toml"]) == 2
+    victim = job.with_name("victim")
+    victim.write_text("precious")
+    locks[0].symlink_to(victim)
+    capsys.readouterr()
+    assert main(["correct", "job.toml"]) == 2
+    assert str(locks[0]) in capsys.readouterr().err
+    assert victim.read_text() == "precious"
+
+
+@needs_locks
+def test_a_file_system_without_locks_is_said(job, monkeypatch, capsys):
+    import fcntl
+
+    def fail(handle, kind):
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr(fcntl, "flock", fail)
+    correct_by(monkeypatch, lambda keep: None)
+    assert main(["correct", "job.toml"]) == 2
+    assert "without locks" in capsys.readouterr().err
+
+
+@needs_locks
+def test_the_next_run_removes_what_a_killed_one_left(job, monkeypatch):
+    parts = []
+    for name in ("job-correct", "other"):
+        write(job.with_name(name), parts.append)
+        # As if the run had been killed before.
+        job.with_name(name).rename(parts[-1])
+    correct_by(monkeypatch, lambda keep: None)
+    assert main(["correct", "job.toml"]) == 2
+    assert not parts[0].exists()
+    # That of another folder, whose run may live.
+    assert parts[1].exists()
+
+
+def interrupted(monkeypatch, capsys, number, *arguments):
+    """Return the code and the errors of a command that sends itself a signal."""
+    monkeypatch.setattr(sys, "argv", ["diffmill", *arguments])
+    monkeypatch.setattr(sys, "unraisablehook", sys.unraisablehook)
+    before = signal.getsignal(signal.SIGTERM)
+    try:
+        code = main()
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    return code, capsys.readouterr().err
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("is_kept", [False, True])
+def test_a_signal_ends_a_run_with_what_is_there(
+    job, monkeypatch, capsys, number, is_kept
+):
+    def run(on_checkpoint):
+        if is_kept:
+            on_checkpoint(FOUND)
+        signal.raise_signal(number)
+
+    correct_by(monkeypatch, run)
+    code, said = interrupted(monkeypatch, capsys, number, "correct", "job.toml")
+    assert code == 1
+    assert "error: interrupted; no results were written" in said
+    kept = ["job-correct.checkpoint"] * is_kept
+    assert ("keeps what was found: the same command with --resume" in said) == is_kept
+    assert names(job.parent) == sorted(["arm.toml", "job.toml", "part.ngc", *kept])
+
+
+def test_an_interruption_waits_until_files_have_their_names(tmp_path, monkeypatch):
+    out = tmp_path / "out"
+    write(out, lambda folder: (folder / "a.txt").write_text("old"))
+    replace = os.replace
+
+    def interrupt(source, target):
+        signal.raise_signal(signal.SIGINT)
+        replace(source, target)
+
+    monkeypatch.setattr(os, "replace", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        write(out, lambda folder: (folder / "a.txt").write_text("new"), force=True)
+    assert (out / "a.txt").read_text() == "new"
+    assert names(out) == ["a.txt", "manifest.txt", "result.nc"]
+    assert names(tmp_path) == ["out"]
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+@pytest.mark.parametrize("has_checkpoint", [False, True])
+def test_a_run_killed_in_its_figures_goes_on_into_its_own_results(
+    job, monkeypatch, capsys, has_checkpoint
+):
+    resumed = []
+    correct_by(monkeypatch, lambda keep: signal.raise_signal(signal.SIGINT))
+    with monkeypatch.context() as patch:
+        correct_by(patch, lambda keep: keep(FOUND) or signal.raise_signal(2))
+        assert main(["correct", "job.toml"]) == 1
+    write(job.with_name("job-correct"), lambda folder: None)
+    if not has_checkpoint:
+        job.with_name("job-correct.checkpoint").unlink()
+    correct_by(monkeypatch, resumed.append)
+    assert main(["correct", "job.toml", "--resume"]) == 2
+    assert ("not empty" in capsys.readouterr().err) != has_checkpoint
+    assert len(resumed) == has_checkpoint
+
+
+@pytest.fixture
+def settings(monkeypatch):
+    """Keep JAX's settings and the environment as they are."""
+    monkeypatch.setenv("NPROC", "1")
+    monkeypatch.setenv("XLA_FLAGS", os.environ.get("XLA_FLAGS", ""))
+    is_enabled = jax.config.jax_enable_compilation_cache
+    yield
+    jax.config.update("jax_enable_compilation_cache", is_enabled)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="rights of another kind")
+@pytest.mark.parametrize("mode", [0o757, 0o775])
+@pytest.mark.parametrize("inner", [".", "programs"])
+def test_a_cache_to_which_others_can_write_is_not_used(tmp_path, settings, mode, inner):
+    shared = tmp_path / inner
+    shared.mkdir(exist_ok=True)
+    shared.chmod(mode)
+    with pytest.raises(OSError, match="others can write to it"):
+        dm.use_compile_cache(tmp_path)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="rights of another kind")
+def test_a_cache_of_another_owner_is_not_used(tmp_path, settings, monkeypatch):
+    monkeypatch.setattr(os, "geteuid", lambda: tmp_path.stat().st_uid + 1)
+    with pytest.raises(OSError, match="belongs to another user"):
+        dm.use_compile_cache(tmp_path)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="rights of another kind")
+def test_a_run_says_that_a_cache_is_not_used(
+    job, tmp_path, settings, monkeypatch, capsys
+):
+    cache = tmp_path / "cache"
+    cache.mkdir()
+    cache.chmod(0o777)
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(cache))
+    correct_by(monkeypatch, lambda keep: None)
+    assert main(["correct", "job.toml"]) == 2
+    assert f"the compile cache {cache} is not used (others" in capsys.readouterr().err
+    assert names(cache) == []
