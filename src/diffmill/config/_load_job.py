@@ -42,6 +42,7 @@ from ._check.modes import (
     default_substeps,
 )
 from ._check.notes import immersion, notes
+from ._check.ranges import range_notes
 from ._check.rapids import check_overhang, check_rapids
 from ._check.reach import ReachCheck
 from ._schema.correction import check_correction, correction_settings
@@ -59,6 +60,8 @@ _REST = 3.0
 _PASSES = 3
 # As `TimedProgram.path` takes, before there is a rest.
 _MOST_STEPS = 1_000_000
+# Discs of a cutter: each has samples of its own at every angle.
+_MOST_DISCS = 10_000
 # Of a length that is written down with a few digits.
 _ROUNDING = 1e-6
 
@@ -95,6 +98,7 @@ def load_job(
         raw = changed(raw, changes, context.problems)
         text = f"{text}\n{changes_text(changes)}"
     tables = read_tables(raw, context.problems)
+    context.notes.extend(range_notes(raw))
     if tables.program is None:
         _check_program(raw.get("program"), context)
     # A speed that is asked for beside the file counts before the program's.
@@ -191,6 +195,9 @@ def _read_parts(
     if tables.spindle is not None:
         given = tables.spindle.speed
         speed = spindle_speed(given, program, problems, is_override=overrides_speed)
+        if given is None and speed is not None:
+            rpm = speed * 30 / math.pi
+            context.notes.extend(range_notes({"spindle": {"speed": f"{rpm:g} rpm"}}))
     if tables.cutter is not None:
         cutter = make_cutter(tables.cutter)
         holder = make_holder(tables.cutter)
@@ -495,6 +502,22 @@ def _simulation(
         )
     if stock is None or path is None or deepest is None:
         return None
+    height = table.element_height or default_element_height(
+        table.chip, stock.spacing, cutter
+    )
+    depth = table.axial_depth or deepest
+    if depth > _MOST_DISCS * height:
+        problems.append(
+            f"[simulation] element_height: found {height * 1e3:g} mm, for which a "
+            f"depth of {depth * 1e3:g} mm takes {depth / height:.3g} discs; at most "
+            f"{_MOST_DISCS} are allowed"
+        )
+    if tables.correction is not None and tables.correction.knot_spacing < period:
+        problems.append(
+            f"[correction] knot_spacing: found "
+            f"{tables.correction.knot_spacing * 1e3:g} ms, but at least the tooth "
+            f"period, {period * 1e3:g} ms, is required"
+        )
     if parts.modes is not None:
         check_held_force(fastest, period / substeps, context.notes)
     elif fastest > 0.0:
@@ -505,9 +528,8 @@ def _simulation(
     return SimulationSettings(
         angles=angles,
         substeps=substeps,
-        element_height=table.element_height
-        or default_element_height(table.chip, stock.spacing, cutter),
-        axial_depth=table.axial_depth or deepest,
+        element_height=height,
+        axial_depth=depth,
         precision=table.precision,
         is_gravity_compensated=table.gravity_compensated,
         plunges=Immersion.is_plunging(path.positions, float(stock.upper[2])),

@@ -4,6 +4,7 @@ import numpy as np
 
 from ..._toml import JobError, read_toml
 from ...robot import TipModes, rpy_matrix
+from .._check.ranges import range_notes
 from .._schema.machine import MachineTable, ModesFile, ModeTable
 from .._schema.table import validated
 from .context import FileContext
@@ -66,6 +67,7 @@ def _from_file(name: str, context: FileContext) -> list[ModeTable] | None:
     except JobError as error:
         context.problems.append(f"[machine] file: {error}")
         return None
+    context.notes.extend(f"{name}: {note}" for note in range_notes(raw))
     found = validated(
         ModesFile, raw.get("machine", {}), f"{name}: [machine]", context.problems
     )

@@ -26,6 +26,8 @@ from .context import FileContext
 _SAME_SPEED = 1e-6
 # Instants of a written path are rounded [s].
 _SAME_INSTANT = 1e-6
+# Longest time over which the way is averaged [s]. The heaviest machine speeds up in less.
+_LONGEST_SMOOTHING = 60.0
 # Speeds that a message lists.
 _LISTED = 8
 # What a recorded path takes of `[program]`, and what it does without: a job keeps its
@@ -260,6 +262,17 @@ def time_program(
             return None
         # From full acceleration to full braking in this time, which is the worst.
         smoothing = 2 * table.acceleration / table.jerk
+    if not smoothing <= _LONGEST_SMOOTHING:
+        least = 2 * table.acceleration / _LONGEST_SMOOTHING
+        problems.append(
+            f"[program] smoothing: found {smoothing:g} s, but at most "
+            f"{_LONGEST_SMOOTHING:g} s is allowed"
+            if table.jerk is None
+            else f"[program] jerk: found {table.jerk:g} m/s^3, with which speeding up "
+            f"takes {smoothing:g} s; at most {_LONGEST_SMOOTHING:g} s is allowed, a "
+            f"jerk of at least {least:.3g} m/s^3 beside this acceleration"
+        )
+        return None
     limits = TimingLimits(
         acceleration=table.acceleration,
         rapid_feed=table.rapid_feed,

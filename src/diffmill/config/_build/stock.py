@@ -111,6 +111,12 @@ def _block(
     if len(problems) > before or table.spacing is None:
         return None
     lower, upper = np.asarray(table.lower), np.asarray(table.upper)
+    if table.spacing > (widest := float(np.max(upper - lower))):
+        problems.append(
+            f"[stock] spacing: found {table.spacing * 1e3:g} mm, but at most the "
+            f"longest edge of the block, {widest * 1e3:g} mm, is allowed"
+        )
+        return None
     slots = _slots(table) or _BLOCK_SLOTS
     memory = StockMemory.of_block(upper - lower, table.spacing, slots, dtype.itemsize)
     if memory.is_too_much:

@@ -37,7 +37,7 @@ def check_rapids(
     plan: StockPlan,
     context: FileContext,
 ) -> None:
-    """Note rapid moves that go through stock, once per program line, and the holder."""
+    """Note a start in the stock, rapids through it once per line, and the holder."""
     contacts = ToolContacts.along(path, plan.make(), cutter, holder)
     if holder is not None:
         # A holder that is drawn straight back goes into nothing new.
@@ -45,7 +45,15 @@ def check_rapids(
         in_rapid = np.where(is_rapid, contacts.holder_depth, 0)
         _note_rapids(path, in_rapid, " of the tool holder", context.problems)
         context.notes.extend(holder_notes(path, contacts))
-    _note_rapids(path, contacts.rapid_depth, "", context.problems)
+    in_rapid = contacts.rapid_depth.copy()
+    if (depth := float(in_rapid[0])) > 0:
+        context.notes.append(
+            f"[program] file: {at_row(path, 0)}: the tool starts in the material, "
+            f"{depth * 1e3:.3f} mm deep; what it overlaps there is gone without a "
+            "force: start it clear of the stock"
+        )
+    in_rapid[0] = 0
+    _note_rapids(path, in_rapid, "", context.problems)
 
 
 def _draws_back(path: Path) -> Bool[np.ndarray, " step"]:

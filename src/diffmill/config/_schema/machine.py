@@ -11,6 +11,8 @@ from .fields import Angles3, DampingRatio, Frequency, LinearStiffness, Mass
 from .table import TomlTable
 
 _AXES = ("x", "y", "z")
+# Largest component of a direction: its length is a number that can be divided by.
+_SHORTEST, _LONGEST = 1e-9, 1e9
 
 
 Direction: TypeAlias = Annotated[
@@ -58,10 +60,12 @@ class ModeTable(TomlTable):
                 f"{place}: found {found} of stiffness and mass, but exactly one is "
                 "required: of the mode along its direction"
             )
-        if not np.linalg.norm(np.asarray(self.direction, np.float64)) > 0:
+        longest = np.abs(np.asarray(self.direction, np.float64)).max()
+        if not _SHORTEST <= longest <= _LONGEST:
             problems.append(
                 f"{place} direction: found {self.direction}, but a direction is "
-                "required, such as [1, 0, 0]"
+                f"required whose largest number is {_SHORTEST:g} to {_LONGEST:g}, such "
+                "as [1, 0, 0]"
             )
 
 

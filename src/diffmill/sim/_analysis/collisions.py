@@ -41,8 +41,8 @@ class ToolContacts(eqx.Module):
     """Depth of the parts of a tool that do not cut in the material, row by row.
 
     Attributes:
-        rapid_depth: Depth of the tool in the stock in rapid moves [m], shape (step,);
-            zero where it was not looked for.
+        rapid_depth: Depth of the tool in the stock at the first row and in rapid moves
+            [m], shape (step,); zero where it was not looked for.
         holder_depth: Depth of the holder in the stock as it is then [m], shape
             (step,).
         holder_part_depth: Depth of the holder in what is left after the last row [m],
@@ -90,9 +90,10 @@ class ToolContacts(eqx.Module):
                 end.
             holder: The holder; None to look for none.
             positions: Tool tips instead of those of the path [m], shape (step, 3).
-            checks_rapids: Whether to look for the cutter in rapid moves. It is looked
-                for with a radius smaller by one spacing of the rays, so that a rapid
-                move along a wall that was just cut is none through it.
+            checks_rapids: Whether to look for the cutter at the first row and in rapid
+                moves. It is looked for with a radius smaller by one spacing of the
+                rays, so that a rapid move along a wall that was just cut is none
+                through it.
 
         Returns:
             The depths.
@@ -141,7 +142,8 @@ def _depths(
     axes = np.asarray(path.axes, float)
     passed = _between_rows(tips, axes, holder, d)
     row, tip, axis = passed.row, passed.tip, passed.axis
-    is_rapid = np.asarray(path.is_rapid)[row] & (row > 0)
+    # The first row is one that the tool has come to, not one that it cuts.
+    is_rapid = np.asarray(path.is_rapid)[row] | (row == 0)
     bounds = columns.bounds()
     box = _reach(tip, axis, cutter.nominal_radius, np.inf, bounds)
     is_near = _meets(box, bounds)

@@ -202,7 +202,9 @@ class TimedProgram(NamedTuple):
                 f"{tooth_period}."
             )
         period = float(tooth_period)
-        check_steps(float(self.profile.duration.sum() / period), float(most_steps))
+        duration = self.profile.duration.sum()
+        duration += self._longer(sections_of(self.legs)).sum()
+        check_steps(float(duration / period), float(most_steps))
         rows = self._rows(period)
         index, distance = rows.piece, rows.distance
         return Path(
