@@ -71,8 +71,9 @@ def _fit_lines(study: ForceRecordStudy, found: ForceRecordStudy.Fit) -> list[str
     lines += all_noted(fit.doubts, "warning")
     for part in found.predicted:
         lines.append(
-            f"left out: {study.records[part.record].name}, {part.what}: "
-            f"{part.error:.2%} of the force rms off"
+            f"left out: {study.records[part.record].name}, predicted {part.what}: "
+            f"{part.explained:.2%} of the squared force explained, {part.error:.2%} of "
+            "the force rms off"
         )
     lines += correlation_lines(names, fit.correlation)
     return lines + all_noted(fit.notes[len(fit.doubts) :])
@@ -112,7 +113,12 @@ def _facts(study: ForceRecordStudy, found: ForceRecordStudy.Fit) -> dict[str, An
         "axes_evidence": found.proposal.evidence,
         "time_shift_s": fit.time_shift,
         "left_out": [
-            {"record": part.record, "what": part.what, "error": part.error}
+            {
+                "record": part.record,
+                "what": part.what,
+                "error": part.error,
+                "explained": part.explained,
+            }
             for part in found.predicted
         ],
         "notes": [*fit.notes, *(n for r in study.records for n in r.notes)],

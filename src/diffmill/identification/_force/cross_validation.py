@@ -33,6 +33,11 @@ class CrossValidation(NamedTuple):
     predicted: Float[np.ndarray, "row 3"]
     error: float
 
+    @property
+    def explained(self) -> float:
+        """Share of the squared force that is predicted; negative if worse than none."""
+        return 1.0 - self.error**2
+
 
 def cross_validate(fit: ForceCoefficientFit) -> tuple[CrossValidation, ...]:
     """Predict every record by the others, or the later half of one by the earlier.

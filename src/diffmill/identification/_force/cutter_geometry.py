@@ -22,13 +22,13 @@ from .._cut.cut_model import (
     CutForce,
     EngagementColumns,
     LinearForce,
-    at_times,
     instantaneous_force,
     linear_force,
     with_plan,
 )
 from .._statistics.robust_regression import LinearFit, Loss, Rows, fit_rows
 from .regression_rows import RegisteredRecord, equations, shift_part
+from .tooth_alignment import LinearisedRecord, with_common_teeth
 
 LENGTHS = ("runout", "radius")
 
@@ -55,12 +55,15 @@ class CutterGeometry(eqx.Module):
         columns: Change of the force of each record per length [N/m], shape
             (row, 3, length), or None.
         has_converged: Whether the last step was small.
+        has_moved: By name: whether the fit has left where it began; true where it may
+            well end there, at a run-out that the cutter was given.
     """
 
     values: dict[str, float]
     records: list[RegisteredRecord]
     columns: list[np.ndarray | None]
     has_converged: bool
+    has_moved: dict[str, bool]
 
 
 def fit_cutter_geometry(
@@ -68,6 +71,7 @@ def fit_cutter_geometry(
     refine: tuple[str, ...],
     is_sought: bool,
     loss: Loss,
+    shift_range: float | None = None,
 ) -> CutterGeometry:
     """Fit lengths of the cutter, with coefficients and time shifts.
 
@@ -76,6 +80,7 @@ def fit_cutter_geometry(
         refine: Which of `LENGTHS`.
         is_sought: Whether the time shifts are fitted too.
         loss: The loss.
+        shift_range: Largest time shift either way [s]; any if None.
 
     Returns:
         The lengths, and the records for them.
@@ -84,34 +89,54 @@ def fit_cutter_geometry(
         SimulationFailed: The cut could not be simulated.
     """
     names = _names(refine)
-    x = _start(records[0].cut.cutter, names)
+    cutter = records[0].cut.cutter
+    start = x = _start(cutter, names)
+    is_runout_known = "runout" not in refine
+    has_teeth = not is_runout_known or has_runout(cutter)
     K = fit_rows([equations(one, ()) for one in records], loss).x
     state = [_simulated(one, names, x, K) for one in records]
-    fit = _fit(state, K, is_sought, loss)
     has_converged = False
     for _ in range(_STEPS):
+        if is_sought and has_teeth and len(state) > 1:
+            state = with_common_teeth(
+                state, K, shift_range, is_runout_known=is_runout_known
+            )
+        fit = _fit(state, K, is_sought, loss)
+        K = fit.x[:6]
         step, trial = _stepped(state, names, x, fit, is_sought)
         has_converged = bool(np.abs(step).max() < _REST)
         if trial is None:
             break
         x, state = x + step, trial
-        fit = _fit(state, fit.x[:6], is_sought, loss)
         if has_converged:
             break
-    values = {n: float(v) for n, v in zip(names, x, strict=True)}
+    columns = [one.columns() for one in state]
     return CutterGeometry(
-        values,
-        [one for one, _ in state],
-        [part for _, part in state],
+        {n: float(v) for n, v in zip(names, x, strict=True)},
+        [one.record for one in state],
+        list(columns),
         has_converged,
+        _have_moved(names, x - start, columns, has_runout(cutter) and has_converged),
     )
 
 
-class _Linearised(NamedTuple):
-    """A record with the change of its force per length, shape (row, 3, length)."""
+def _have_moved(
+    names: tuple[str, ...],
+    moves: np.ndarray,
+    columns: list[np.ndarray],
+    is_stated_confirmed: bool,
+) -> dict[str, bool]:
+    """Return whether lengths have left their start, or may well have ended there.
 
-    record: RegisteredRecord
-    columns: np.ndarray
+    Both parts of the run-out are one vector. A length that no record shows, or that is
+    stated, may stay; the first one is not identifiable anyway.
+    """
+    is_runout = np.array([name.startswith("runout") for name in names])
+    is_far = np.abs(moves) > _REST
+    is_far = np.where(is_runout, np.any(is_far & is_runout), is_far)
+    is_shown = np.any([np.any(one != 0, axis=(0, 1)) for one in columns], axis=0)
+    may_stay = ~is_shown | ~is_runout | is_stated_confirmed
+    return dict(zip(names, (is_far | may_stay).tolist(), strict=True))
 
 
 class _Step(NamedTuple):
@@ -123,11 +148,11 @@ class _Step(NamedTuple):
     """
 
     step: np.ndarray
-    state: list[_Linearised] | None
+    state: list[LinearisedRecord] | None
 
 
 def _stepped(
-    state: list[_Linearised],
+    state: list[LinearisedRecord],
     names: tuple[str, ...],
     x: np.ndarray,
     fit: LinearFit,
@@ -142,8 +167,10 @@ def _stepped(
     for share in 0.5 ** np.arange(_HALVINGS + 1):
         try:
             trial = [
-                _simulated(_later(one, share * s), names, x + share * step, fit.x[:6])
-                for (one, _), s in zip(state, shifts, strict=True)
+                _simulated(
+                    one.later(share * s).record, names, x + share * step, fit.x[:6]
+                )
+                for one, s in zip(state, shifts, strict=True)
             ]
         except SimulationFailed:
             # Lengths whose cut cannot be simulated are worse than any.
@@ -154,23 +181,23 @@ def _stepped(
 
 
 def _fit(
-    state: list[_Linearised], K: np.ndarray, is_sought: bool, loss: Loss
+    state: list[LinearisedRecord], K: np.ndarray, is_sought: bool, loss: Loss
 ) -> LinearFit:
     """Fit the linear form of all unknowns."""
-    records = [one for one, _ in state]
+    records = [one.record for one in state]
     rows = [
-        equations(one, (part, *shift_part(records, i, K, is_sought)))
-        for i, (one, part) in enumerate(state)
+        equations(one.record, (one.columns(), *shift_part(records, i, K, is_sought)))
+        for i, one in enumerate(state)
     ]
     return fit_rows(rows, loss)
 
 
-def _own_cost(state: list[_Linearised], fit: LinearFit) -> float:
+def _own_cost(state: list[LinearisedRecord], fit: LinearFit) -> float:
     """Return the weighted square that coefficients alone leave, per weight.
 
     The lengths and shifts are those of the simulation, not of its linear form.
     """
-    rows: list[Rows] = [equations(one, ()) for one, _ in state]
+    rows: list[Rows] = [equations(one.record, ()) for one in state]
     alone = fit_rows(rows, "huber")
     squares = [
         float(np.nansum(np.minimum(np.abs(r), 5 * s[None]) ** 2))
@@ -187,19 +214,20 @@ def _start(cutter: AbstractCutter, names: tuple[str, ...]) -> np.ndarray:
     return np.array([lengths.get(name, 0.0) for name in names])
 
 
+def has_runout(cutter: AbstractCutter) -> bool:
+    """Return whether a cutter has a run-out of its own."""
+    return bool(np.any(np.asarray(cutter.runout) > 0))
+
+
 def _names(refine: tuple[str, ...]) -> tuple[str, ...]:
     """Return the names of the lengths."""
     both = ("runout_x", "runout_y") if "runout" in refine else ()
     return both + (("radius",) if "radius" in refine else ())
 
 
-def _later(one: RegisteredRecord, shift: float) -> RegisteredRecord:
-    return dataclasses.replace(one, shift=one.shift + float(shift))
-
-
 def _simulated(
     one: RegisteredRecord, names: tuple[str, ...], lengths: np.ndarray, K: np.ndarray
-) -> _Linearised:
+) -> LinearisedRecord:
     """Return a record with its cut for given lengths, linearised in these."""
     dtype = one.cut.stock.origin.dtype
     base = dataclasses.replace(one.cut, cutter=_original(one.cut.cutter, dtype))
@@ -215,10 +243,10 @@ def _simulated(
     moved = dataclasses.replace(
         one, cut=dataclasses.replace(one.cut, cutter=cutter), engagement=found
     )
-    columns = at_times(J[:, :, 6:], found.start, spacing, one.time + one.shift)
-    size = np.sqrt(np.mean(columns**2, axis=(0, 1)))
+    linearised = LinearisedRecord(moved, J[:, :, 6:])
+    size = np.sqrt(np.mean(linearised.columns() ** 2, axis=(0, 1)))
     is_shown = size > _SHOWN * size.max(initial=0.0)
-    return _Linearised(moved, np.where(is_shown, columns, 0.0))
+    return linearised._replace(slopes=np.where(is_shown, J[:, :, 6:], 0.0))
 
 
 def cutter_with(

@@ -23,7 +23,12 @@ from .._statistics.robust_regression import (
     fit_rows,
     solve_normal,
 )
-from .cutter_geometry import LENGTHS, CutterGeometry, fit_cutter_geometry
+from .cutter_geometry import (
+    LENGTHS,
+    CutterGeometry,
+    fit_cutter_geometry,
+    has_runout,
+)
 from .experiment_advice import advise
 from .mean_force import NAMES, by_name
 from .regression_rows import (
@@ -36,6 +41,7 @@ from .regression_rows import (
     measured_records,
     shift_part,
 )
+from .tooth_alignment import LinearisedRecord, with_common_teeth
 
 # Steps of the time shifts after the search, which converge quadratically, and the
 # share of a revolution below which they rest.
@@ -88,7 +94,8 @@ class ForceCoefficientFit(eqx.Module):
         refined: What else was fitted, by name: `runout_x`, `runout_y` (offset of the
             cutter towards tooth 0 and a quarter turn on), `radius` [m]; NaN if not
             identifiable.
-        refined_errors: Standard errors of these [m].
+        refined_errors: Standard errors of these [m]; infinite for a length that has
+            not moved from where its fit began.
         has_converged: Whether the last step of these was small; true if there are none.
         diagnoses: What offset, gain or unit would explain what the fit leaves, or makes
             the coefficients implausible; nothing was changed.
@@ -236,11 +243,28 @@ def fit_force_coefficients(
     is_sought = time_shift is None
     if is_sought:
         records = [find_shift(one, shift_range) for one in records]
-    refined = CutterGeometry({}, records, [None] * len(records), True)
+        if not refine and any(has_runout(one.cut.cutter) for one in records):
+            records = _with_given_teeth(records, shift_range)
+    refined = CutterGeometry({}, records, [None] * len(records), True, {})
     if refine:
-        refined = fit_cutter_geometry(records, tuple(refine), is_sought, loss)
+        refined = fit_cutter_geometry(
+            records, tuple(refine), is_sought, loss, shift_range
+        )
     found = _settle(refined, is_sought, loss)
     return _report(found, refined, axes)
+
+
+def _with_given_teeth(
+    records: list[RegisteredRecord], shift_range: float | None
+) -> list[RegisteredRecord]:
+    """Return records in which the tooth that stands out is that of the cutter."""
+    K = fit_rows([equations(one, ()) for one in records], "squares").x
+    alone = [
+        LinearisedRecord(one, np.zeros((len(one.engagement.columns), 3, 0)))
+        for one in records
+    ]
+    moved = with_common_teeth(alone, K, shift_range, is_runout_known=True)
+    return [one.record for one in moved]
 
 
 class _Settled(NamedTuple):
@@ -307,7 +331,8 @@ def _report(
     count, more = len(records), len(refined.values)
     names = list(refined.values)
     lengths, spreads = np.array(list(refined.values.values())), errors[6 : 6 + more]
-    is_told = spreads <= _TOLD
+    has_moved = np.array(list(refined.has_moved.values()), bool)
+    is_told = (spreads <= _TOLD) & has_moved
     return ForceCoefficientFit(
         coefficients=by_name(np.where(is_fixed, K, np.nan)),
         standard_errors=by_name(errors[:6]),
@@ -326,7 +351,10 @@ def _report(
             n: float(v) if ok else math.nan
             for n, v, ok in zip(names, lengths, is_told, strict=True)
         },
-        refined_errors=dict(zip(names, spreads.tolist(), strict=True)),
+        refined_errors={
+            n: float(e) if ok else math.inf
+            for n, e, ok in zip(names, spreads, has_moved, strict=True)
+        },
         has_converged=refined.has_converged,
         diagnoses=_diagnoses(records, rows, is_gross, np.where(is_fixed, K, np.nan)),
         doubts=doubts,
@@ -336,7 +364,12 @@ def _report(
             *_lost_notes(records, int(is_gross.sum())),
             *advise(is_fixed, correlation, size, is_measured),
             *_unsettled_notes(names, refined.has_converged),
-            *_refined_notes(names, is_told, records[0].cut.cutter.flute_count),
+            *_unmoved_notes(refined),
+            *_refined_notes(
+                [n for n in names if refined.has_moved[n]],
+                is_told[has_moved],
+                records[0].cut.cutter.flute_count,
+            ),
             *_class_notes(K[0], bool(is_fixed[0])),
         ),
         records=tuple(records),
@@ -472,6 +505,16 @@ def _unsettled_notes(names: list[str], has_converged: bool) -> tuple[str, ...]:
     return (
         f"The fit of {', '.join(names)} has not converged: start nearer (run-out and "
         "diameter of the cutter), and look at axes, cut, speed and time shift.",
+    )
+
+
+def _unmoved_notes(refined: CutterGeometry) -> tuple[str, ...]:
+    """Say which lengths are where the fit began: the records did not move them."""
+    unmoved = [name for name, moved in refined.has_moved.items() if not moved]
+    return tuple(
+        f"{name} has stayed at {1e6 * refined.values[name]:.3g} um, where its fit "
+        "began: no number is told. State a run-out in [cutter] to begin at."
+        for name in unmoved
     )
 
 
