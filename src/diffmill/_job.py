@@ -19,7 +19,7 @@ from ._types import FloatRows3, RealScalarLike, Transform
 from .cutter import AbstractCutter, ToolHolder
 from .cutting import AbstractForceLaw
 from .robot import Controller, Robot, TipModes, ToolRotation
-from .toolpath import Path, ProgramTiming
+from .toolpath import Path, Point, ProgramTiming
 from .workpiece import Stock
 
 
@@ -215,6 +215,9 @@ class OutputSettings(eqx.Module):
         is_spline: Whether formats that know splines (KRL) get one instead of lines.
         moves_ends: Whether the program is also written with its own blocks, their ends
             moved.
+        tool_axis: Axis of a controller's tool that points from the shank to the tip.
+        first_angles: A, B and C with which the program's first position is written
+            [deg], if it has them.
     """
 
     formats: tuple[str, ...] = eqx.field(static=True, default=(".ngc",))
@@ -223,6 +226,10 @@ class OutputSettings(eqx.Module):
     max_step: float = eqx.field(static=True, default=float("inf"))
     is_spline: bool = eqx.field(static=True, default=False)
     moves_ends: bool = eqx.field(static=True, default=False)
+    tool_axis: Literal["x", "y", "z", "-x", "-y", "-z"] = eqx.field(
+        static=True, default="z"
+    )
+    first_angles: Point | None = eqx.field(static=True, default=None)
 
 
 class Job(eqx.Module):
@@ -247,8 +254,9 @@ class Job(eqx.Module):
         bottom_law: The force law of the bottom edges, or None for the one that `law`
             derives (`law.for_bottom()`).
         holder: What holds the cutter, to look for in the stock; None if not known.
-        tool_rotation: Rotation about the tool axis: "fixed", tool x as near to x of
-            `work` as the axis allows, or "free", chosen by the inverse kinematics.
+        tool_rotation: Rotation about the tool axis: "fixed", that of `path.tool_x` or,
+            without it, tool x as near to x of `work` as the axis allows, or "free",
+            chosen by the inverse kinematics.
         modes: The modes at the tool tip, in the axes of the work, of a machine that is
             given by them; None for a robot and a rigid machine.
         keeps_intervals: Whether the rays of the stock keep the slots that they have;

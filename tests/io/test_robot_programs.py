@@ -150,6 +150,7 @@ def test_apt(read):
 
 
 KRL_INLINE = """DEF part( )
+FDAT_ACT=FP1
 PTP {X 0,Y 0,Z 5,A 0,B 0,C 180}
 ;FOLD LIN P1 Vel=0.1 m/s CPDAT1 Tool[1]:mill Base[2]:part;%{PE}
 $BWDSTART=FALSE

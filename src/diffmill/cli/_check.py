@@ -15,11 +15,13 @@ from ._expected_time import expected_campaign_line, expected_time_line
 from ._session.progress import Progress
 
 if TYPE_CHECKING:
-    from ..toolpath import Move, Path, Program, ProgramTiming
+    from ..toolpath import Move, Path, Point, Program, ProgramTiming
 
 
 # The first bytes of a netCDF file; programs may have its suffix.
 _HDF5 = b"\x89HDF"
+# Lean from +z above which a cutter lies flat [deg].
+_FLAT_LEAN = 80.0
 
 
 def describe_file(file: pathlib.Path, *, allow_outside: bool) -> list[str]:
@@ -156,6 +158,7 @@ def _describe_job(file: pathlib.Path, *, allow_outside: bool) -> list[str]:
         f"{float(job.tooth_period) * 1e3:g} ms, {float(job.path.time[-1]):.3f} s",
         *(_time_lines(job.timing) if job.timing is not None else ()),
         f"  robot: {robot}",
+        _path_axis_line(job.path),
         f"  angles: {settings.angles} per revolution, sub-steps: {settings.substeps}, "
         f"height of a disc: {settings.element_height * 1e3:g} mm, discs up to "
         f"{settings.axial_depth * 1e3:g} mm above the tip, {settings.precision}",
@@ -186,6 +189,9 @@ def _describe_program(file: pathlib.Path, program: "Program") -> list[str]:
 
     kind = PROGRAM_FORMATS[file.suffix.lower()]
     lines = [f"{file}: {kind}, everything in it is supported"]
+    if program.work_position is not None and program.work_rpy is not None:
+        pose = program.work_position, program.work_rpy
+        lines.append(_pose_line("base (work in the robot's base)", *pose))
     if len(program.tools) == 1:
         lines += _describe_moves(program)
     else:
@@ -197,7 +203,7 @@ def _describe_program(file: pathlib.Path, program: "Program") -> list[str]:
 
 def _describe_moves(program: "Program") -> list[str]:
     """Return lines that describe the moves of one tool."""
-    moves = program.timed_moves
+    moves, part = program.timed_moves, program.sections[0]
     kinds = collections.Counter(_kind(move) for move in moves)
     names = ("rapid", "line", "arc", "rest")
     counts = ", ".join(f"{kinds[k]} {k}s" for k in names if kinds[k])
@@ -218,6 +224,11 @@ def _describe_moves(program: "Program") -> list[str]:
         lines.append(
             f"  inverse time: {len(inverse)} moves in {math.fsum(inverse):.3f} s"
         )
+    if part.tool_position is not None and part.tool_rpy is not None:
+        pose = part.tool_position, part.tool_rpy
+        lines.append(_pose_line("tool in the flange, its z up the shank", *pose))
+    if moves:
+        lines.append(_axis_line(np.array([m.axis for m in at_feed or moves])))
     points = [m.start for m in moves] + [m.end for m in moves]
     return [*lines, *_extents(np.array(points))] if moves else lines
 
@@ -244,8 +255,38 @@ def _describe_path(file: pathlib.Path, path: "Path") -> list[str]:
         f"{file}: a recorded path without faults",
         f"  rows: {path.step_count} in {time[-1] - time[0]:.3f} s, of which "
         f"{int(np.sum(path.is_rapid))} rapid",
+        _path_axis_line(path),
         *_extents(np.asarray(path.positions)),
     ]
+
+
+def _path_axis_line(path: "Path") -> str:
+    """Return the line of the tool axis, of the rows at a feed if there are any."""
+    axes, is_cut = np.asarray(path.axes, np.float64), ~np.asarray(path.is_rapid, bool)
+    return _axis_line(axes[is_cut] if is_cut.any() else axes)
+
+
+def _axis_line(axes: Float[np.ndarray, "row 3"]) -> str:
+    """Return a line about tool axes: the first, and the largest lean from +z."""
+    lean = np.degrees(np.arctan2(np.hypot(axes[:, 0], axes[:, 1]), axes[:, 2]))
+    x, y, z = np.round(axes[0], 4) + 0.0
+    least, most = float(lean.min()), float(lean.max())
+    posture = ", upright" if most < 1e-2 else ""
+    if most > _FLAT_LEAN:
+        posture = ": it lies flat" if most < 180 - _FLAT_LEAN else ": its tip is on top"
+    leans = f"{most:.2f}" if most - least < 1e-2 else f"{least:.2f} to {most:.2f}"
+    return (
+        f"  tool axis, tip to shank: ({x:.4g}, {y:.4g}, {z:.4g}) at the start; leans "
+        f"from +z by {leans} deg{posture}"
+    )
+
+
+def _pose_line(name: str, position: "Point", rpy: "Point") -> str:
+    """Return a line with a pose that a program states."""
+    x, y, z = (1e3 * value for value in position)
+    roll, pitch, yaw = (math.degrees(angle) + 0.0 for angle in rpy)
+    angles = f"{roll:g}, {pitch:g}, {yaw:g} deg"
+    return f"  {name}: position {x:g}, {y:g}, {z:g} mm, rpy {angles}"
 
 
 def _extents(points: Float[np.ndarray, "point 3"]) -> Sequence[str]:

@@ -24,6 +24,7 @@ from ._build.program import (
     note_rounding,
     read_program,
     recorded_path,
+    rotated_as_asked,
     rows_of,
     slowed_for_joints,
     spindle_speed,
@@ -32,6 +33,7 @@ from ._build.program import (
 from ._build.robot import pose_matrix, read_robot
 from ._build.stock import StockPlan, read_stock
 from ._changes import changed, changes_text
+from ._check.frames import base_note, program_base, tool_note
 from ._check.modes import (
     LONGEST_SUBSTEP,
     check_held_force,
@@ -47,7 +49,13 @@ from ._check.rapids import check_overhang, check_rapids
 from ._check.reach import ReachCheck
 from ._schema.correction import check_correction, correction_settings
 from ._schema.cutter import make_cutter, make_holder
-from ._schema.job import JobTables, ProgramTable, SimulationTable, read_tables
+from ._schema.job import (
+    JobTables,
+    ProgramTable,
+    RobotTable,
+    SimulationTable,
+    read_tables,
+)
 
 # Room below the deepest disc [m].
 _ROOM = 0.6e-3
@@ -202,18 +210,27 @@ def _read_parts(
         cutter = make_cutter(tables.cutter)
         holder = make_holder(tables.cutter)
     check_overhang(tables.cutter, tables.robot, problems)
+    work = None if tables.robot is None else tables.robot.work_in_base
+    T_base_work, stated = pose_matrix(work), program_base(program)
+    is_placed = work is not None or stated is not None
     if tables.robot is not None:
-        fitted = read_robot(tables.robot, cutter, context)
+        table = tables.robot
+        fitted = read_robot(table, cutter, context, is_placed=is_placed)
         robot, start = fitted.robot, fitted.joint_start
+        if robot is not None:
+            T_base_work = stated if work is None and stated is not None else T_base_work
+            found = base_note(T_base_work, program, is_stated=work is not None)
+            context.notes.extend(found + tool_note(fitted.T_flange_tool, program))
+        rotation, is_arm = table.tool_rotation, robot is not None
+        program = rotated_as_asked(rotation, program, problems, is_arm=is_arm)
     if cutter is not None and tables.force is not None:
         tables.force.check_teeth(cutter.flute_count, problems)
     if tables.stock is not None:
         settings = tables.simulation
         precision = "float64" if settings is None else settings.precision
         stock = read_stock(tables.stock, precision, context)
-    work = None if tables.robot is None else tables.robot.work_in_base
     parts = _Parts(
-        program, speed, cutter, holder, stock, robot, pose_matrix(work), start, None
+        program, speed, cutter, holder, stock, robot, T_base_work, start, None
     )
     controller = _controller(tables, robot, problems)
     if cutter is not None and speed is not None:
@@ -225,7 +242,7 @@ def _read_parts(
         _check_machine(tables, problems)
         if modes is not None:
             parts = parts._replace(modes=modes, fastest=fastest_mode(modes))
-    if work is not None:
+    if is_placed:
         parts = _follow(tables, parts, context)
     if tables.program is not None and parts.path is not None:
         tips = commanded_tips(tables.program, parts.path, context)
@@ -292,7 +309,7 @@ def _follow(tables: JobTables, parts: _Parts, context: FileContext) -> _Parts:
         robot,
         parts.T_base_work,
         parts.joint_start,
-        table.tool_rotation,
+        "free" if _is_free(table) else "fixed",
         len(robot.motor_joints),
     )
     found = len(context.problems)
@@ -444,7 +461,7 @@ def _assemble(
         modes=parts.modes,
         T_base_work=parts.T_base_work,
         joint_start=parts.joint_start,
-        tool_rotation="fixed" if robot is None else robot.tool_rotation,
+        tool_rotation="free" if _is_free(robot) else "fixed",
         simulation=simulation,
         correction=correction_settings(
             correction, is_recorded=isinstance(program, Path)
@@ -460,11 +477,20 @@ def _assemble(
         bottom_law=bottom_law,
         holder=parts.holder,
         keeps_intervals=block.intervals is not None,
-        output=output.settings(is_upright=path.is_upright),
+        output=output.settings(
+            is_upright=path.is_upright,
+            tool_axis=None if tables.program is None else tables.program.tool_axis,
+            first_angles=getattr(program, "first_angles", None),
+        ),
         controller=parts.controller,
         timing=None if parts.timed is None else parts.timed.timing,
         commanded=parts.commanded,
     )
+
+
+def _is_free(table: RobotTable | None) -> bool:
+    """Return whether the joints choose the rotation about the tool axis."""
+    return table is not None and table.tool_rotation == "free"
 
 
 def _simulation(

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ._path import Path
-from ._turned_axes import stand_upright, turned_axes
+from ._turned_axes import stand_upright, turned_axes, turned_tool_x
 
 Point: TypeAlias = tuple[float, float, float]
 
@@ -36,6 +36,8 @@ class Move(NamedTuple):
         normal: Unit vector along the axis of an arc.
         axis: Unit tool axis at the end, tip to shank.
         rest: Time for which the tool stays at the end [s].
+        tool_x: Unit x of the tool at the end, across its axis; None where the program
+            leaves the rotation about the axis open.
     """
 
     start: Point
@@ -49,6 +51,7 @@ class Move(NamedTuple):
     normal: Point = _UP
     axis: Point = _UP
     rest: float = 0.0
+    tool_x: Point | None = None
 
     @property
     def spokes(self) -> tuple[Point, Point]:
@@ -117,6 +120,25 @@ class Move(NamedTuple):
         except ValueError as error:
             raise ValueError(f"line {self.line}: {error}") from error
 
+    def tool_x_at(
+        self,
+        share: Float[np.ndarray, " part"],
+        start: "Move",
+        axes: Float[np.ndarray, "part 3"],
+    ) -> Float[np.ndarray, "part 3"] | None:
+        """Unit tool x at shares of the move, None where the program states none.
+
+        Args:
+            share: Shares of the length, shape (part,).
+            start: The move before.
+            axes: Tool axes there, as `axes_at` has them, shape (part, 3).
+        """
+        if self.tool_x is None:
+            return None
+        before = start.tool_x or self.tool_x
+        first, last = (*start.axis, *before), (*self.axis, *self.tool_x)
+        return turned_tool_x(np.array([first]), np.array([last]), share, axes)
+
 
 class Section(NamedTuple):
     """Moves in a row that one tool makes.
@@ -132,6 +154,9 @@ class Section(NamedTuple):
         approach_count: Number of leading rapid moves that come from an unknown place.
         spindle_speeds: Different speeds that are set, in order [rad/s].
         line: Line of the program with which it begins.
+        tool_position: Tip of the tool in the flange [m], where the program states it.
+        tool_rpy: Orientation of the tool in the flange, its z up the shank: roll,
+            pitch and yaw [rad], where the program states it.
     """
 
     tool: int | None
@@ -140,6 +165,8 @@ class Section(NamedTuple):
     approach_count: int = 0
     spindle_speeds: tuple[float, ...] = ()
     line: int = 1
+    tool_position: Point | None = None
+    tool_rpy: Point | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -158,6 +185,11 @@ class Program:
         sections: Which tool makes which moves; empty if one makes all.
         notes: What the program says without an effect on the motion, or what was
             assumed, a sentence each.
+        work_position: Origin of `work` in the base of the robot [m], where the program
+            states it.
+        work_rpy: Orientation of `work` in it: roll, pitch and yaw [rad].
+        first_angles: Angles A, B, C with which the first position is written [deg]:
+            two triples state the same orientation.
     """
 
     moves: tuple[Move, ...]
@@ -167,6 +199,9 @@ class Program:
     name: str = "program"
     sections: tuple[Section, ...] = ()
     notes: tuple[str, ...] = ()
+    work_position: Point | None = None
+    work_rpy: Point | None = None
+    first_angles: Point | None = None
 
     def __post_init__(self):
         if not 0 <= self.approach_count <= len(self.moves):
@@ -185,14 +220,17 @@ class Program:
         """
         time, points = np.asarray(path.time), np.asarray(path.positions).tolist()
         axes, lines = np.asarray(path.axes).tolist(), np.asarray(path.line).tolist()
+        sides = [None] * len(lines)
+        if path.tool_x is not None:
+            sides = [_point(row) for row in np.asarray(path.tool_x).tolist()]
         start = _point(points[0])
         first = Move((0.0, 0.0, 0.0), start, is_rapid=True, line=lines[0])
-        moves = [first._replace(axis=_point(axes[0]))]
-        rows = zip(points[1:], axes[1:], np.diff(time).tolist(), lines[1:], strict=True)
-        for point, axis, duration, line in rows:
-            end = _point(point)
-            move = Move(start, end, duration=duration, line=line)
-            moves.append(move._replace(axis=_point(axis)))
+        moves = [first._replace(axis=_point(axes[0]), tool_x=sides[0])]
+        durations = np.diff(time).tolist()
+        for row, duration in enumerate(durations, 1):
+            end = _point(points[row])
+            move = Move(start, end, duration=duration, line=lines[row])
+            moves.append(move._replace(axis=_point(axes[row]), tool_x=sides[row]))
             start = end
         return cls(tuple(moves), approach_count=1, name=name)
 
@@ -206,6 +244,16 @@ class Program:
         """Whether the tool axis is +z after every move, to 1e-4."""
         axes = [move.axis for move in self.moves]
         return stand_upright(np.reshape(np.array(axes, np.float64), (-1, 3)))
+
+    @property
+    def states_rotation(self) -> bool:
+        """Whether every move states the rotation about the tool axis."""
+        return all(move.tool_x is not None for move in self.moves)
+
+    def without_rotation(self) -> "Program":
+        """Return the program with the rotation about the tool axis left open."""
+        moves = tuple(move._replace(tool_x=None) for move in self.moves)
+        return dataclasses.replace(self, moves=moves, first_angles=None)
 
     @property
     def timed_moves(self) -> tuple[Move, ...]:
@@ -272,7 +320,7 @@ class Program:
                 bridge = Move(
                     moves[-1].end, first.start, is_rapid=True, line=first.line
                 )
-                moves.append(bridge._replace(axis=first.axis))
+                moves.append(bridge._replace(axis=first.axis, tool_x=first.tool_x))
             moves.extend(own)
         speeds = dict.fromkeys(speed for part in parts for speed in part.spindle_speeds)
         return dataclasses.replace(
@@ -303,4 +351,4 @@ def _with_rest(move: Move) -> tuple[Move, ...]:
     if not move.rest:
         return (move,)
     rest = Move(move.end, move.end, duration=move.rest, line=move.line, axis=move.axis)
-    return move._replace(rest=0.0), rest
+    return move._replace(rest=0.0), rest._replace(tool_x=move.tool_x)

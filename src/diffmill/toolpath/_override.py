@@ -58,6 +58,7 @@ def retime(
         axes=np.asarray(poses.axes),
         is_rapid=np.asarray(path.is_rapid)[rows],
         line=np.asarray(path.line)[rows],
+        tool_x=None if poses.tool_x is None else np.asarray(poses.tool_x),
     )
 
 
@@ -68,14 +69,17 @@ class _Poses(NamedTuple):
         places: Rows of the path, and parts of a row, shape (row,).
         tips: Tool tips [m], shape (row, 3).
         axes: Tool axes, shape (row, 3).
+        tool_x: X of the tool, shape (row, 3); None where the path states none.
     """
 
     places: Float[Array, " row"]
     tips: Float[Array, "row 3"]
     axes: Float[Array, "row 3"]
+    tool_x: Float[Array, "row 3"] | None
 
 
 @eqx.filter_jit
 def _poses(feed: PathFeed, override: Float[Array, " knot"], step_count: int) -> _Poses:
     places = feed.places(override, step_count)
-    return _Poses(places, feed.positions(places), feed.axes(places))
+    turned = feed.axes(places), feed.tool_x(places)
+    return _Poses(places, feed.positions(places), *turned)

@@ -16,7 +16,7 @@ from .._types import (
     IntSteps,
     RealScalarLike,
 )
-from ._turned_axes import LEAST_SUM, stand_upright, turned_axes
+from ._turned_axes import LEAST_SUM, stand_upright, turned_axes, turned_tool_x
 
 # Above this a path fills the memory with its own rows, and a typing error in a feed is
 # the usual reason.
@@ -35,6 +35,8 @@ class Path(eqx.Module):
             none, shape (step,).
         row_count: How many rows count; those behind only fill the arrays up to a
             length that other paths have too. All rows if None.
+        tool_x: Unit x of the tool in `work`, across its axis, shape (step, 3); None
+            where the program leaves the rotation about the axis open.
     """
 
     time: FloatSteps
@@ -43,10 +45,13 @@ class Path(eqx.Module):
     is_rapid: BoolSteps
     line: IntSteps
     row_count: IntScalar | None = None
+    tool_x: FloatRows3 | None = None
 
     def __check_init__(self):
         rows = self.positions.shape[0]
-        for name in ("time", "axes", "is_rapid", "line"):
+        for name in ("time", "axes", "is_rapid", "line", "tool_x"):
+            if name == "tool_x" and self.tool_x is None:
+                continue
             if getattr(self, name).shape[0] != rows:
                 raise ValueError(
                     f"Argument `{name}` must have one row per position ({rows}), but "
@@ -164,12 +169,18 @@ class Path(eqx.Module):
         share = (inside - time[before]) / np.diff(time)[before]
         row = np.searchsorted(time, inside - 1e-6 * period, side="left")
         row = np.minimum(row, time.size - 1)
+        turned, tool_x = turned_axes(axes[before], axes[before + 1], share), None
+        if self.tool_x is not None:
+            frames = np.concatenate([axes, np.asarray(self.tool_x, float)], axis=1)
+            ends = frames[before], frames[before + 1]
+            tool_x = turned_tool_x(*ends, share, turned)
         return Path(
             time=instants,
             positions=PchipInterpolator(time, positions, axis=0)(inside),
-            axes=turned_axes(axes[before], axes[before + 1], share),
+            axes=turned,
             is_rapid=np.asarray(self.is_rapid)[row],
             line=np.asarray(self.line, dtype=np.int32)[row],
+            tool_x=tool_x,
         )
 
     def with_rest(self, count: int) -> "Path":
@@ -187,6 +198,7 @@ class Path(eqx.Module):
             axes=np.asarray(self.axes)[at],
             is_rapid=np.asarray(self.is_rapid)[at],
             line=np.asarray(self.line)[at],
+            tool_x=None if self.tool_x is None else np.asarray(self.tool_x)[at],
         )
 
     @property

@@ -125,6 +125,23 @@ class PathFeed(eqx.Module):
         axes = rows[index] + share[:, None] * (rows[index + 1] - rows[index])
         return axes / jnp.linalg.norm(axes, axis=1, keepdims=True)
 
+    def tool_x(self, places: Float[Array, " row"]) -> Float[Array, "row 3"] | None:
+        """Return the unit x of the tool at some places, shape (row, 3).
+
+        None where the path leaves the rotation about the axis open.
+
+        **Differentiability**: kinks at rows.
+        """
+        if self.path.tool_x is None:
+            return None
+        index = self._interval(places)
+        share = places - index.astype(places.dtype)
+        rows = jnp.asarray(self.path.tool_x, places.dtype)
+        x = rows[index] + share[:, None] * (rows[index + 1] - rows[index])
+        axes = self.axes(places)
+        x = x - jnp.sum(x * axes, axis=1, keepdims=True) * axes
+        return x / jnp.linalg.norm(x, axis=1, keepdims=True)
+
     def _interval(self, places: Float[Array, " row"]) -> Int[Array, " row"]:
         """Return the interval of each place."""
         last = self.speed.shape[0] - 1

@@ -1,4 +1,4 @@
-"""Tool axes that turn evenly, which is along a great circle."""
+"""Tools that turn evenly: the axis along a great circle, and evenly about it."""
 
 import numpy as np
 from jaxtyping import Float
@@ -45,3 +45,36 @@ def turned_axes(
     along = share * np.sinc(share * phi / np.pi) / np.sinc(phi / np.pi)
     axes = np.cos(share * phi)[:, None] * first + along[:, None] * across
     return axes / np.linalg.norm(axes, axis=1, keepdims=True)
+
+
+def turned_tool_x(
+    first: Float[np.ndarray, "#row 6"],
+    last: Float[np.ndarray, "#row 6"],
+    share: Float[np.ndarray, " row"],
+    axes: Float[np.ndarray, "row 3"],
+) -> Float[np.ndarray, "row 3"]:
+    """Unit x of the tool on the way from one orientation to another.
+
+    The tool turns with its axis, without a turn about it, and evenly by the rest psi:
+
+        t(x, a, b) = x - (x . b) / (1 + a . b) (a + b)
+        x(s) = cos(s psi) t(x_0, a_0, a(s)) + sin(s psi) a(s) x t(x_0, a_0, a(s))
+
+    Args:
+        first: Tool axis a_0 and tool x x_0 before the turn, unit and perpendicular,
+            shape (row, 6) or (1, 6).
+        last: The same behind it, as `first`.
+        share: How much of the way is gone s, shape (row,).
+        axes: Tool axis there a(s) as `turned_axes` has it, shape (row, 3).
+    """
+    (a_0, x_0), (a_1, x_1) = (np.hsplit(one, 2) for one in (first, last))
+
+    def carried(axis: np.ndarray) -> np.ndarray:
+        along = np.sum(x_0 * axis, axis=1) / (1 + np.sum(a_0 * axis, axis=1))
+        return x_0 - along[:, None] * (a_0 + axis)
+
+    end = carried(a_1)
+    psi = np.arctan2(np.sum(np.cross(a_1, end) * x_1, 1), np.sum(end * x_1, axis=1))
+    x, angle = carried(axes), (share * psi)[:, None]
+    x = np.cos(angle) * x + np.sin(angle) * np.cross(axes, x)
+    return x / np.linalg.norm(x, axis=1, keepdims=True)

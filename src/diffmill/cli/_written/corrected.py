@@ -2,17 +2,16 @@
 
 import dataclasses
 import pathlib
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float
 
-from .moved_ends import WrittenFiles, moved_path
+from .moved_ends import WrittenFiles, moved_path, read_written
 
 if TYPE_CHECKING:
     from ..._job import Job
-    from ..._types import FloatRows3
     from ...config import JobProgram
     from ...sim import Solution
     from ...toolpath import Path
@@ -67,11 +66,12 @@ def written_errors(
     found, said = {}, []
     for suffix in job.output.formats:
         name = f"corrected{suffix}"
-        path = written_path(folder / name, float(job.tooth_period))
+        axis = job.output.tool_axis
+        path = written_path(folder / name, float(job.tooth_period), tool_axis=axis)
         if path is None:
             said.append(f"{name}: not run, since it states feeds instead of times")
             continue
-        found[name] = _run_written(job, final, path.positions, path.axes)
+        found[name] = _run_written(job, final, path)
         rms = found[name].rms
         said.append(
             f"{name}: read back and run, it leaves {rms * 1e6:.2f} um rms where the "
@@ -88,7 +88,8 @@ def written_errors(
         tips = np.asarray(job.path.positions) + stream.at(
             np.asarray(job.path.time) - float(job.path.time[0])
         )
-        found["stream.csv"] = left = _run_written(job, final, tips, job.path.axes)
+        streamed = eqx.tree_at(lambda p: p.positions, job.path, tips)
+        found["stream.csv"] = left = _run_written(job, final, streamed)
         said.append(
             f"stream.csv: read back, added to the program and run, it leaves "
             f"{left.rms * 1e6:.2f} um rms where the tool cuts"
@@ -99,7 +100,8 @@ def written_errors(
         if tips is None:
             said.append(f"{name}: not run, since its arcs are written in pieces")
         else:
-            found[name] = left = _run_written(job, final, tips, job.path.axes)
+            moved = eqx.tree_at(lambda p: p.positions, job.path, tips)
+            found[name] = left = _run_written(job, final, moved)
             said.append(
                 f"{name}: read back, timed and run, it leaves {left.rms * 1e6:.2f} um "
                 "rms where the tool cuts"
@@ -107,22 +109,28 @@ def written_errors(
     return WrittenErrors(found, said)
 
 
-def written_path(file: pathlib.Path, tooth_period: float) -> "Path | None":
+def written_path(
+    file: pathlib.Path,
+    tooth_period: float,
+    *,
+    tool_axis: Literal["x", "y", "z", "-x", "-y", "-z"] = "z",
+) -> "Path | None":
     """Return a written program as a path; None if its moves do not state their times.
 
     Args:
         file: The program.
         tooth_period: Time between the rows of the path [s].
+        tool_axis: Axis of a controller's tool that points from the shank to the tip.
     """
-    from ...io import read_program
     from ...toolpath import Move, Path, sample_program
 
-    program = read_program(file)
+    program = read_written(file, tool_axis)
     assert not isinstance(program, Path)
     if count := program.approach_count:
         # A rest at the first point is a part of the command, but not of a program.
         last = program.moves[count - 1]
         rest = Move(last.end, last.end, duration=last.rest, axis=last.axis)
+        rest = rest._replace(tool_x=last.tool_x)
         moves = (*program.moves[:count], rest, *program.moves[count:])
         program = dataclasses.replace(
             program, moves=moves if last.rest else program.moves
@@ -135,13 +143,8 @@ def written_path(file: pathlib.Path, tooth_period: float) -> "Path | None":
     )
 
 
-def _run_written(
-    job: "Job",
-    final: "Solution",
-    positions: "FloatRows3",
-    axes: "FloatRows3",
-) -> WrittenError:
-    """Return the contour error that poses leave instead of their command."""
+def _run_written(job: "Job", final: "Solution", path: "Path") -> WrittenError:
+    """Return the contour error that a path leaves instead of its command."""
     import jax.numpy as jnp
 
     from ..._result import RESULTS
@@ -149,15 +152,18 @@ def _run_written(
     from ...sim import Solution, run_with_room
 
     # Rounded times may end a row sooner or later; the tool then rests at the end.
-    rows = np.minimum(np.arange(job.path.step_count), len(positions) - 1)
+    rows = np.minimum(np.arange(job.path.step_count), path.step_count - 1)
     dtype = final.commanded.dtype
-    turned = np.asarray(axes)[rows]
+    turned = np.asarray(path.axes)[rows]
     # An arm that cannot turn the tool cannot follow what rounding turns it by either.
     is_other = np.abs(turned - np.asarray(job.path.axes)).max() > _ROUNDED_AXIS
     if job.simulation.axes and is_other:
         turned = jnp.asarray(turned, dtype)
         job = eqx.tree_at(lambda j: j.path.axes, job, turned)
-    tips = jnp.asarray(np.asarray(positions)[rows], dtype)
+    if job.path.tool_x is not None and path.tool_x is not None:
+        side = jnp.asarray(np.asarray(path.tool_x)[rows], dtype)
+        job = eqx.tree_at(lambda j: j.path.tool_x, job, side)
+    tips = jnp.asarray(np.asarray(path.positions)[rows], dtype)
     # By the program that the correction has compiled.
     solution = Solution.of_command(job, final.rigid, tips, ThroughPoses())
     if solution.result == RESULTS.interval_overflow:
@@ -219,11 +225,16 @@ def corrected_files(job: "Job", commanded: Float[np.ndarray, "step 3"]) -> Writt
             if is_spline:
                 blocks = reduce_path(path, output.tolerance, is_spline=True)
             # A module of KRL bears the name of its file.
-            files[name] = write_program(
+            program = dataclasses.replace(
                 Program.of_path(blocks, name="corrected"),
+                first_angles=output.first_angles,
+            )
+            files[name] = write_program(
+                program,
                 suffix,
                 header=header,
                 is_spline=is_spline,
+                tool_axis=output.tool_axis,
             )
         said.append(
             f"{name}: {blocks.step_count - 1} blocks instead of "

@@ -2,7 +2,7 @@
 
 import dataclasses
 import pathlib
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -10,6 +10,7 @@ from jaxtyping import Float
 if TYPE_CHECKING:
     from ..._job import Job
     from ...config import JobProgram
+    from ...toolpath import Path, Program
 
 
 class WrittenFiles(NamedTuple):
@@ -22,6 +23,17 @@ class WrittenFiles(NamedTuple):
 
     files: dict[str, str]
     said: list[str]
+
+
+def read_written(
+    file: pathlib.Path, tool_axis: Literal["x", "y", "z", "-x", "-y", "-z"]
+) -> "Program | Path":
+    """Return a program that was written with an axis of a controller's tool."""
+    from ...io import ProgramSetup, read_program
+
+    is_of_robot = file.suffix in (".src", ".mod", ".modx", ".prg")
+    setup = ProgramSetup(tool_axis=tool_axis if is_of_robot else None)
+    return read_program(file, setup=setup)
 
 
 def moved_files(
@@ -49,6 +61,7 @@ def moved_files(
         header=[f"{job.name}, its block ends moved by diffmill"],
         tolerance=job.output.tolerance,
         frame=program_frame(job.program, np.asarray(job.path.line).tolist()),
+        tool_axis=job.output.tool_axis,
     )
     said = f"{name}: the {ends.block_count} blocks of the program, their ends moved"
     return WrittenFiles({name: text}, [said])
@@ -70,10 +83,10 @@ def moved_path(
     Returns:
         Tip positions [m], shape (step, 3); None if the format writes other blocks.
     """
-    from ...io import read_program
     from ...toolpath import BlockEnds, Program
 
-    program = read_program(folder / f"moved{given.suffix}")
+    file = folder / f"moved{given.suffix}"
+    program = read_written(file, job.output.tool_axis)
     assert isinstance(program, Program)
     assert job.timing is not None
     path = job.timing.timed(program).path(float(job.tooth_period))

@@ -3,6 +3,7 @@
 import math
 import pathlib
 from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -28,11 +29,13 @@ _SAME_SPEED = 1e-6
 _SAME_INSTANT = 1e-6
 # Longest time over which the way is averaged [s]. The heaviest machine speeds up in less.
 _LONGEST_SMOOTHING = 60.0
+# Unit vectors that are nearer to each other are the same.
+_SAME_ROTATION = 1e-6
 # Speeds that a message lists.
 _LISTED = 8
 # What a recorded path takes of `[program]`, and what it does without: a job keeps its
 # limits while its program is exchanged for a path.
-_OF_PATHS = ("file", "commanded")
+_OF_PATHS = ("file", "commanded", "tool_axis")
 _WITHOUT_EFFECT = (
     "acceleration",
     "rapid_feed",
@@ -78,6 +81,49 @@ def read_program(table: ProgramTable, context: FileContext) -> Program | Path | 
     if len(program.sections) > 1:
         context.notes.append(_tool_note(program, chosen))
     return chosen
+
+
+def rotated_as_asked(
+    rotation: Literal["program", "fixed", "free"] | None,
+    program: Program | Path | None,
+    problems: list[str],
+    *,
+    is_arm: bool,
+) -> Program | Path | None:
+    """Return a program with the rotation about the tool axis that a job asks for.
+
+    Args:
+        rotation: `[robot] tool_rotation`.
+        program: The program; None if it could not be read.
+        problems: Receives what is wrong.
+        is_arm: Whether an arm follows it.
+    """
+    is_stated = isinstance(program, Program) and program.states_rotation
+    if rotation == "program" and program is not None and not is_stated:
+        problems.append(
+            '[robot] tool_rotation: found "program", but the program does not state '
+            'the rotation about the tool axis; allowed: "fixed", "free"'
+        )
+    if not isinstance(program, Program):
+        return program
+    if rotation == "fixed" or not is_stated:
+        return program.without_rotation()
+    if not is_arm or rotation == "free":
+        return program
+    before = program.moves[max(program.approach_count - 1, 0)]
+    for move in program.timed_moves:
+        is_timed = move.length > 0 or move.duration is not None
+        assert move.tool_x is not None and before.tool_x is not None
+        turn = math.dist(move.tool_x, before.tool_x)
+        if not is_timed and turn > _SAME_ROTATION:
+            problems.append(
+                f"[program] file: {program.name}, line {move.line}: the tool turns "
+                "about its axis on the spot, which has no time; [robot] tool_rotation "
+                '= "fixed" leaves that rotation out'
+            )
+            break
+        before = move
+    return program
 
 
 def commanded_tips(
@@ -198,6 +244,7 @@ def _setup(table: ProgramTable) -> ProgramSetup:
             _point(table.second_reference_point),
         ),
         skips_blocks=table.block_delete,
+        tool_axis=table.tool_axis,
     )
 
 

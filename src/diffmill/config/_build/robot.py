@@ -38,16 +38,20 @@ class FittedRobot(NamedTuple):
         robot: With its drives and tool; None for a rigid machine or after a fault.
         joint_start: Joint positions to start from [rad or m], shape (joint,); None for
             the robot's home.
+        T_flange_tool: Pose of the tool in the flange, shape (4, 4).
     """
 
     robot: Robot | None = None
     joint_start: Float[np.ndarray, " joint"] | None = None
+    T_flange_tool: Float[np.ndarray, "4 4"] | None = None
 
 
 def read_robot(
     table: RobotTable,
     cutter: AbstractCutter | None,
     context: FileContext,
+    *,
+    is_placed: bool = False,
 ) -> FittedRobot:
     """Return the robot of a job.
 
@@ -55,6 +59,7 @@ def read_robot(
         table: The `[robot]` table.
         cutter: The cutter, None after a fault of its own; it bends if the table says.
         context: The job file.
+        is_placed: Whether the program states where the workpiece lies.
     """
     problems = context.problems
     chosen = [key for key in ("model", "file", "rigid") if getattr(table, key)]
@@ -68,7 +73,7 @@ def read_robot(
     if table.rigid:
         _refuse_with_rigid(table, problems)
         return FittedRobot()
-    if table.work_in_base is None:
+    if table.work_in_base is None and not is_placed:
         problems.append(
             "[robot] work_in_base: found nothing, but it is required: where the "
             'workpiece lies, such as { position = ["1500 mm", "0 mm", "800 mm"] }'
@@ -88,11 +93,12 @@ def read_robot(
         T_flange_tool = pose_matrix(table.tool_in_flange)
         context.notes.extend(_tool_notes(T_flange_tool))
         robot = robot.with_tool(T_flange_tool)
+    T_flange_tool = np.asarray(robot.T_flange_tool, np.float64)
     robot = with_spring(robot, table.flange_spring, problems)
     robot = with_bending_cutter(robot, table.bending_tool, cutter)
     if start is not None:
         start = np.pad(start, (0, robot.joint_count - len(start)))
-    return FittedRobot(robot, start)
+    return FittedRobot(robot, start, T_flange_tool)
 
 
 def _tool_notes(T_flange_tool: Float[np.ndarray, "4 4"]) -> list[str]:

@@ -9,6 +9,8 @@ from .._build.stock import StockPlan
 
 # Above this share of the radius the chip's entry is too coarse to trust.
 _COARSE = 0.05
+# Lean of the cutter from +z above which it lies flat [deg].
+_FLAT = 80.0
 
 
 def immersion(path: Path, cutter: AbstractCutter, stock: StockPlan) -> float:
@@ -21,7 +23,7 @@ def immersion(path: Path, cutter: AbstractCutter, stock: StockPlan) -> float:
 
 def notes(stock: StockPlan, path: Path, cutter: AbstractCutter) -> tuple[str, ...]:
     """Return what is worth knowing but no fault."""
-    notes = []
+    notes = _posture_notes(path)
     coarse = _COARSE * cutter.nominal_radius
     if stock.spacing > coarse:
         notes.append(
@@ -59,6 +61,22 @@ def notes(stock: StockPlan, path: Path, cutter: AbstractCutter) -> tuple[str, ..
             f"path spans {spans[0]}, the stock {spans[1]}"
         )
     return tuple(notes)
+
+
+def _posture_notes(path: Path) -> list[str]:
+    """Return that the cutter lies flat or points up where it moves at a feed."""
+    is_cut = ~np.asarray(path.is_rapid, bool)
+    axes = np.asarray(path.axes, np.float64)[is_cut if is_cut.any() else ~is_cut]
+    lean = np.degrees(np.arctan2(np.hypot(axes[:, 0], axes[:, 1]), axes[:, 2]))
+    most = float(lean.max())
+    if most < _FLAT:
+        return []
+    posture = "lies flat" if most < 180 - _FLAT else "points up, its tip on top,"
+    return [
+        f"[program] file: the cutter {posture} where its axis, from tip to shank, "
+        f"leans by {most:.1f} deg from +z of work; tool_axis says which axis of the "
+        "tool points from the shank to the tip"
+    ]
 
 
 def _span_mm(points: Float[np.ndarray, "point 3"]) -> str:

@@ -75,7 +75,11 @@ class ReachCheck(NamedTuple):
         T_work_tool = np.tile(np.eye(4), (path.step_count, 1, 1))
         # At one of few lengths, since each would be compiled.
         axes = pad_rows(path.axes, padded_count(path.step_count))
-        T_work_tool[:, :3, :3] = first_rows(_frames(axes), path.step_count)
+        frames = np.array(first_rows(_frames(axes), path.step_count))
+        if path.tool_x is not None:
+            x, z = np.asarray(path.tool_x), np.asarray(path.axes)
+            frames = np.stack([x, np.cross(z, x), z], axis=-1)
+        T_work_tool[:, :3, :3] = frames
         T_work_tool[:, :3, 3] = path.positions
         Ts = np.asarray(self.T_base_work @ T_work_tool, dtype=np.dtype(robot.dtype))
         start = np.asarray(robot.home if start is None else start)

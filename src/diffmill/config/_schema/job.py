@@ -36,6 +36,7 @@ from .table import TomlTable, meant_by, validated
 
 if TYPE_CHECKING:
     from ..._job import OutputSettings
+    from ...toolpath import Point
 
 _Table = TypeVar("_Table")
 _Toml = TypeVar("_Toml", bound=TomlTable)
@@ -139,6 +140,12 @@ class ProgramTable(TomlTable):
         description="number of the tool that is simulated, of several; if left out, "
         "the first that makes a move at a feed",
     )
+    tool_axis: Literal["x", "y", "z", "-x", "-y", "-z"] | None = Field(
+        default=None,
+        description="axis of the controller's tool that points from the shank to the "
+        "tip, in programs that are read and written (KRL and RAPID); of a path z if "
+        "its i, j, k point so; if left out z, and tip to shank in a path",
+    )
     block_delete: StrictBool = Field(
         default=False, description="true: lines that begin with / are left out"
     )
@@ -220,7 +227,7 @@ class RobotTable(TomlTable):
     work_in_base: PoseTable | None = Field(
         default=None,
         description="pose of the workpiece in the base of the robot; required unless "
-        "rigid = true",
+        "rigid = true, or the program states it ($BASE, a work object)",
     )
     tool_in_flange: PoseTable | None = Field(
         default=None,
@@ -232,10 +239,11 @@ class RobotTable(TomlTable):
         description="joint positions near which the arm begins, such as "
         '["0 deg", "-60 deg", ...]; its home if left out',
     )
-    tool_rotation: Literal["fixed", "free"] = Field(
-        default="fixed",
-        description="rotation about the tool axis: fixed, x of the tool as near to x "
-        "of work as it can be, or free, as suits the joints",
+    tool_rotation: Literal["program", "fixed", "free"] | None = Field(
+        default=None,
+        description="rotation about the tool axis: program, as the program states it, "
+        "fixed, x of the tool as near to x of work as it can be, or free, as suits the "
+        "joints; program if left out where it states one, else fixed",
     )
     flange_spring: FlangeSpringTable | None = Field(
         default=None,
@@ -278,7 +286,13 @@ class OutputTable(TomlTable):
         "moved",
     )
 
-    def settings(self, *, is_upright: bool) -> "OutputSettings":
+    def settings(
+        self,
+        *,
+        is_upright: bool,
+        tool_axis: Literal["x", "y", "z", "-x", "-y", "-z"] | None = None,
+        first_angles: "Point | None" = None,
+    ) -> "OutputSettings":
         """Return the settings of a job."""
         from ..._job import OutputSettings
 
@@ -290,6 +304,8 @@ class OutputTable(TomlTable):
             max_step=self.max_step,
             is_spline=self.blocks == "spline",
             moves_ends=self.moved_ends,
+            tool_axis=tool_axis or "z",
+            first_angles=first_angles,
         )
 
     def _names(self, *, is_upright: bool) -> Sequence[str]:

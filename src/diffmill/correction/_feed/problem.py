@@ -41,8 +41,9 @@ class FeedProblem(eqx.Module):
     """A path whose feed is to be chosen.
 
     Attributes:
-        plant: Maps desired tips [m] and tool axes, each of shape (row, 3), to the
-            `Motion` that follows; traceable.
+        plant: Maps desired tips [m], tool axes and, of a path that states them, the x
+            of the tool, each of shape (row, 3), to the `Motion` that follows;
+            traceable.
         feed: The path with what bounds its speed.
         weights: How much the error counts per length at each row of the programmed
             path, shape (step,); best a smooth rise and fall, see
@@ -80,7 +81,10 @@ class FeedProblem(eqx.Module):
         feed = self.feed
         places = feed.places(override, step_count)
         desired = feed.positions(places)
-        motion = self.plant(desired, feed.axes(places))
+        turned = [feed.axes(places)]
+        if (tool_x := feed.tool_x(places)) is not None:
+            turned.append(tool_x)
+        motion = self.plant(desired, *turned)
         rows = jnp.arange(self.weights.shape[0], dtype=places.dtype)
         weights = jnp.interp(places, rows, jnp.asarray(self.weights, places.dtype))
         contour = contour_vector(motion.actual, desired)

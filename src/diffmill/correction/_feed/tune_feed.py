@@ -34,17 +34,22 @@ _WEIGHTS = (0.3, 0.1, 0.03)
 
 
 class FeedPlant(eqx.Module):
-    """A job as a plant that is given tips and tool axes in `work`."""
+    """A job as a plant that is given tips, tool axes and tool x in `work`."""
 
     job: Job
     adjoint: AbstractAdjoint
 
     def __call__(
-        self, desired: Float[Array, "row 3"], axes: Float[Array, "row 3"]
+        self,
+        desired: Float[Array, "row 3"],
+        axes: Float[Array, "row 3"],
+        tool_x: Float[Array, "row 3"] | None = None,
     ) -> Motion:
         """Return the motion that follows the desired path as command."""
         place = lambda job: (job.path.positions, job.path.axes)
         job = eqx.tree_at(place, self.job, (desired, axes))
+        if tool_x is not None:
+            job = eqx.tree_at(lambda job: job.path.tool_x, job, tool_x)
         motors, _ = JobKinematics(job).motors(desired)
         ran = JobModel.of(job, self.adjoint).run(motors)
         return wall_motion(job, ran.ends, ran.force, None)

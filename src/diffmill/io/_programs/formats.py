@@ -5,9 +5,13 @@ import os
 import pathlib
 from collections.abc import Sequence
 
+import equinox as eqx
+import numpy as np
+
 from ...toolpath import Path, Program, sample_program
 from .._path_csv import read_path_csv, write_path_csv
 from .faults import Fault, ProgramError
+from .geometry import ToolAxis
 from .robots.apt import parse_apt
 from .robots.krl import parse_krl
 from .robots.rapid import parse_rapid
@@ -49,23 +53,52 @@ def read_program(
     """
     path = pathlib.Path(file)
     suffix, setup = path.suffix.lower(), ProgramSetup() if setup is None else setup
+    if problem := _tool_axis_problem(suffix, setup.tool_axis):
+        raise ProgramError(path.name, [Fault(0, "", problem)])
     if suffix == ".csv":
-        return read_path_csv(path)
+        recorded = read_path_csv(path)
+        if setup.tool_axis != "z":
+            return recorded
+        return eqx.tree_at(lambda p: p.axes, recorded, -np.asarray(recorded.axes))
     if suffix not in PROGRAM_FORMATS:
         fault = Fault(
             0, "", f"the suffix {suffix!r} is not known; allowed: {allowed()}."
         )
         raise ProgramError(str(path), [fault])
     text = read_text(path)
+    axis: ToolAxis = setup.tool_axis or "z"
     if suffix in KRL:
-        beside = path.with_suffix(".dat")
-        data = read_text(beside) if beside.is_file() else ""
-        return parse_krl(text, data, name=path.name)
+        beside = _data_file(path)
+        data = "" if beside is None else read_text(beside)
+        return parse_krl(text, data, name=path.name, tool_axis=axis)
     if suffix in RAPID:
-        return parse_rapid(text, name=path.name)
+        return parse_rapid(text, name=path.name, tool_axis=axis)
     if suffix in APT:
         return parse_apt(text, name=path.name)
     return parse_gcode(text, name=path.name, setup=setup)
+
+
+def _tool_axis_problem(suffix: str, axis: ToolAxis | None) -> str:
+    """Return what is wrong with a tool axis for a format; nothing if all is right."""
+    known: tuple[str | None, ...] = (None, "x", "y", "z", "-x", "-y", "-z")
+    if suffix not in KRL + RAPID:
+        known = (None, "z", "-z") if suffix == ".csv" else (None,)
+    if axis in known:
+        return ""
+    names = ", ".join(one for one in known if one) or "none"
+    return (
+        f'found the tool axis "{axis}"; allowed for {PROGRAM_FORMATS[suffix]}: {names}.'
+    )
+
+
+def _data_file(path: pathlib.Path) -> pathlib.Path | None:
+    """Return the .dat beside a .src, whatever its capitals; None if there is none."""
+    exact = path.with_suffix(".dat")
+    if exact.is_file():
+        return exact
+    wanted = exact.name.lower()
+    found = (one for one in sorted(path.parent.iterdir()) if one.is_file())
+    return next((one for one in found if one.name.lower() == wanted), None)
 
 
 def allowed() -> str:
@@ -84,6 +117,7 @@ def write_program(
     tolerance: float = 1e-6,
     is_spline: bool = False,
     frame: ProgramFrame | None = None,
+    tool_axis: ToolAxis = "z",
 ) -> str:
     """Return the text of a program in the format of a suffix.
 
@@ -98,6 +132,8 @@ def write_program(
             not know, and corners be rounded where times are needed [m].
         is_spline: Whether the rows of a path are points of a spline; KRL only.
         frame: What G-code says beside the motion; other formats leave it out.
+        tool_axis: Axis of a controller's tool that points from the shank to the tip;
+            KRL and RAPID only.
 
     Raises:
         ValueError: If the suffix is not known, or the format cannot say the motion.
@@ -113,9 +149,17 @@ def write_program(
         return write_path_csv(_timed(program, tolerance))
     moves = Program.of_path(program) if isinstance(program, Path) else program
     if suffix in KRL:
-        return write_krl(moves, header=header, tolerance=tolerance, is_spline=is_spline)
+        return write_krl(
+            moves,
+            header=header,
+            tolerance=tolerance,
+            is_spline=is_spline,
+            tool_axis=tool_axis,
+        )
     if suffix in RAPID:
-        return write_rapid(moves, header=header, tolerance=tolerance)
+        return write_rapid(
+            moves, header=header, tolerance=tolerance, tool_axis=tool_axis
+        )
     if suffix in APT:
         return write_apt(moves, header=header, tolerance=tolerance)
     return write_moves(moves, header=header, tolerance=tolerance, frame=frame)

@@ -1,38 +1,107 @@
 """Poses of tools as robot programs write them, the moves to write, arcs in pieces.
 
-A controller's tool axis points from the flange to the tip, ours from the tip to the
-shank: the frames differ by half a turn about x. The turn about the axis is chosen so
-that x of the tool is as near to x of `work` as the axis allows.
+An axis of a controller's tool frame points from the shank to the tip, z in most cells;
+z of ours from the tip to the shank. Where z is the axis, the frames differ by half a
+turn about x. Where a program leaves the rotation about the axis open, x of our tool is
+as near to x of `work` as the axis allows.
 """
 
 import math
-from typing import NamedTuple
+from collections.abc import Mapping
+from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
 
 from ...toolpath import Move, Point, Program
 
+ToolAxis: TypeAlias = Literal["x", "y", "z", "-x", "-y", "-z"]
 _MOST_PIECES = 100_000
+# Half a turn, or a quarter of one, from our tool frame to the controller's: of their
+# axes the one of the name points from the shank to the tip, as columns.
+_CONTROLLER_IN_TOOL: Mapping[ToolAxis, Float[np.ndarray, "3 3"]] = {
+    "x": np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]),
+    "y": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]),
+    "z": np.diag([1.0, -1.0, -1.0]),
+    "-x": np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]),
+    "-y": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),
+    "-z": np.eye(3),
+}
+# Nearer to B = 90 deg than this, A and C turn about the same axis [rad].
+_GIMBAL_LOCK = 1e-7
 
 
-def tool_matrix(axis: Point) -> Float[np.ndarray, "3 3"]:
-    """Return the axes of a controller's tool frame in `work`, as columns."""
-    z = np.array(axis) / math.hypot(*axis)
-    x = np.array([1.0, 0.0, 0.0]) - z[0] * z
+class ToolPlace(NamedTuple):
+    """Tip of the tool [m], its axis from tip to shank, and its x across that."""
+
+    tip: Point
+    axis: Point
+    tool_x: Point | None = None
+
+
+def controller_matrix(
+    move: Move, tool_axis: ToolAxis = "z"
+) -> Float[np.ndarray, "3 3"]:
+    """Axes of a controller's tool frame in `work` at the end of a move, as columns."""
+    z = np.array(move.axis) / math.hypot(*move.axis)
+    x = np.array([1.0, 0.0, 0.0]) if move.tool_x is None else np.array(move.tool_x)
+    x = x - (x @ z) * z
     if np.linalg.norm(x) < 1e-6:
         x = np.array([0.0, 0.0, -z[0]])
     x = x / np.linalg.norm(x)
-    return np.stack([x, np.cross(x, z), -z], axis=1)
+    tool = np.stack([x, np.cross(z, x), z], axis=1)
+    return tool @ _CONTROLLER_IN_TOOL[tool_axis]
 
 
-def abc_of_axis(axis: Point) -> Point:
-    """Return the angles A, B, C [deg] of a tool: R = Rz(A) Ry(B) Rx(C)."""
-    R = tool_matrix(axis)
-    a = math.atan2(R[1, 0], R[0, 0])
+def tool_rotation(
+    controller: Float[np.ndarray, "3 3"], tool_axis: ToolAxis = "z"
+) -> Float[np.ndarray, "3 3"]:
+    """Axes of our tool frame, as columns, of those of a controller's."""
+    return controller @ _CONTROLLER_IN_TOOL[tool_axis].T
+
+
+def tool_place(
+    tip: Point, controller: Float[np.ndarray, "3 3"], tool_axis: ToolAxis
+) -> ToolPlace:
+    """Place of the tool of a tip [m] and the axes of a controller's tool frame."""
+    tool = tool_rotation(controller, tool_axis)
+    return ToolPlace(tip, _point(tool[:, 2]), _point(tool[:, 0]))
+
+
+def abc_of_rotation(
+    R: Float[np.ndarray, "3 3"], near: Point = (0.0, 0.0, 0.0)
+) -> Point:
+    """Angles A, B, C [deg] of R = Rz(A) Ry(B) Rx(C).
+
+    Two triples state a rotation: (A, B, C) and (A + 180, 180 - B, C + 180). Where B is
+    90 deg, A and C turn about the same axis, and any A does.
+
+    Args:
+        R: The rotation.
+        near: Angles [deg] of which the nearer triple is returned.
+    """
     b = math.atan2(-R[2, 0], math.hypot(R[0, 0], R[1, 0]))
-    c = math.atan2(R[2, 1], R[2, 2])
-    return math.degrees(a), math.degrees(b), math.degrees(c)
+    a = math.atan2(R[1, 0], R[0, 0])
+    if math.pi / 2 - abs(b) < _GIMBAL_LOCK:
+        a = math.radians(near[0])
+    # What is left for C, so that it fits whatever A is.
+    z = rotation_of_abc(math.degrees(a), 0.0, 0.0)
+    y = rotation_of_abc(0.0, math.degrees(b), 0.0)
+    rest = (z @ y).T @ R
+    c = math.atan2(rest[2, 1], rest[1, 1])
+    first = (math.degrees(a), math.degrees(b), math.degrees(c))
+    second = _wrapped((first[0] + 180, 180 - first[1], first[2] + 180))
+    gaps = [
+        sum(abs(math.remainder(u - v, 360)) for u, v in zip(one, near, strict=True))
+        for one in (first, second)
+    ]
+    return second if gaps[1] < gaps[0] - 1e-6 else first
+
+
+def _wrapped(angles: Point) -> Point:
+    """Return angles between -180 and 180 degrees."""
+    a, b, c = (math.remainder(angle, 360) for angle in angles)
+    return a, b, c
 
 
 def rotation_of_abc(a: float, b: float, c: float) -> Float[np.ndarray, "3 3"]:
@@ -49,34 +118,29 @@ def rotation_of_abc(a: float, b: float, c: float) -> Float[np.ndarray, "3 3"]:
     )
 
 
-def axis_of_abc(a: float, b: float, c: float) -> Point:
-    """Return the tool axis, tip to shank, of angles A, B, C [deg]."""
-    return _point(-rotation_of_abc(a, b, c)[:, 2])
-
-
-def quaternion_of_axis(axis: Point) -> tuple[float, float, float, float]:
-    """Return the quaternion (w, x, y, z) of a tool."""
+def quaternion_of_rotation(
+    R: Float[np.ndarray, "3 3"],
+) -> tuple[float, float, float, float]:
+    """Quaternion (w, x, y, z) of a rotation."""
     from scipy.spatial.transform import Rotation
 
-    x, y, z, w = Rotation.from_matrix(tool_matrix(axis)).as_quat()
+    x, y, z, w = Rotation.from_matrix(R).as_quat()
     return (w, x, y, z) if w >= 0 else (-w, -x, -y, -z)
 
 
-def axis_of_quaternion(w: float, x: float, y: float, z: float) -> Point:
-    """Return the tool axis, tip to shank, of a quaternion of any length above 0."""
-    square = w * w + x * x + y * y + z * z
-    return (
-        -2 * (x * z + w * y) / square,
-        -2 * (y * z - w * x) / square,
-        -(w * w - x * x - y * y + z * z) / square,
-    )
+def rotation_of_quaternion(
+    w: float, x: float, y: float, z: float
+) -> Float[np.ndarray, "3 3"]:
+    """Rotation of a quaternion of any length above 0."""
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.from_quat([x, y, z, w]).as_matrix()
 
 
-class ToolPlace(NamedTuple):
-    """Tip of the tool [m], and its axis from tip to shank."""
-
-    tip: Point
-    axis: Point
+def rpy_of_rotation(R: Float[np.ndarray, "3 3"]) -> Point:
+    """Angles roll, pitch and yaw [rad] of R = Rz(yaw) Ry(pitch) Rx(roll)."""
+    a, b, c = (math.radians(angle) for angle in abc_of_rotation(R))
+    return c, b, a
 
 
 class Circle(NamedTuple):
@@ -139,19 +203,19 @@ def program_moves(program: Program) -> tuple[Move, ...]:
         return program.moves[program.approach_count - 1 :]
     first = program.moves[0]
     approach = Move(first.start, first.start, is_rapid=True, line=first.line)
-    return approach._replace(axis=first.axis), *program.moves
+    return approach._replace(axis=first.axis, tool_x=first.tool_x), *program.moves
 
 
 def straight_pieces(
-    move: Move, tolerance: float, *, start_axis: Point | None = None
+    move: Move, tolerance: float, *, before: Move | None = None
 ) -> list[Move]:
     """Return a move as straight ones that leave an arc by a tolerance at most [m].
 
     Args:
         move: The move.
         tolerance: How far the pieces may lie beside it [m].
-        start_axis: Tool axis before the move; None for that at its end. It turns evenly
-            over the pieces.
+        before: The move before, from whose orientation the tool turns evenly over the
+            pieces; None for that at its end.
     """
     if move.centre is None:
         return [move]
@@ -161,20 +225,24 @@ def straight_pieces(
     count = min(max(1, math.ceil(abs(move.sweep) / step)), _MOST_PIECES)
     pieces = []
     duration = None if move.duration is None else move.duration / count
-    for one in arc_parts(move, count, start_axis=start_axis):
+    for one in arc_parts(move, count, before=before):
         pieces.append(one._replace(centre=None, turn=0, duration=duration))
     return pieces
 
 
-def arc_parts(move: Move, count: int, *, start_axis: Point | None = None) -> list[Move]:
-    """Return an arc in equal parts, over which the tool axis turns evenly."""
-    parts, start = [], move.start
-    axes = move.axes_at(np.arange(1, count + 1) / count, start_axis or move.axis)
-    for row, axis in zip(arc_points(move, count), axes, strict=True):
-        end, axis = _point(row), _point(axis)
-        parts.append(move._replace(start=start, end=end, axis=axis, rest=0.0))
+def arc_parts(move: Move, count: int, *, before: Move | None = None) -> list[Move]:
+    """Return an arc in equal parts, over which the tool turns evenly."""
+    parts, start, before = [], move.start, before or move
+    share = np.arange(1, count + 1) / count
+    axes = move.axes_at(share, before.axis)
+    sides = move.tool_x_at(share, before, axes)
+    for index, row in enumerate(arc_points(move, count)):
+        end = _point(row)
+        part = move._replace(start=start, end=end, axis=_point(axes[index]), rest=0.0)
+        side = None if sides is None else _point(sides[index])
+        parts.append(part._replace(tool_x=side))
         start = end
-    parts[-1] = parts[-1]._replace(axis=move.axis, rest=move.rest)
+    parts[-1] = parts[-1]._replace(axis=move.axis, tool_x=move.tool_x, rest=move.rest)
     return parts
 
 

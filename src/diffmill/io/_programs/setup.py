@@ -4,6 +4,7 @@ import dataclasses
 from collections.abc import Mapping
 
 from ...toolpath import Point
+from .geometry import ToolAxis
 
 
 @dataclasses.dataclass(frozen=True)
@@ -20,6 +21,8 @@ class ProgramSetup:
             need it.
         reference_points: Machine coordinates to which G28 and G30 go [m].
         skips_blocks: Whether lines that begin with a block delete / are left out.
+        tool_axis: Axis of the tool that points from the shank to the tip, for programs
+            of robots, "z" if None; for a path "z" if its i, j, k do, else "-z".
     """
 
     feed: float | None = None
@@ -28,3 +31,4 @@ class ProgramSetup:
     machine_zero: Point | None = None
     reference_points: tuple[Point, Point] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     skips_blocks: bool = False
+    tool_axis: ToolAxis | None = None

@@ -66,7 +66,7 @@ class JobKinematics(eqx.Module):
     def solve(self, commanded: Float[Array, "step 3"]) -> JointSolution:
         """Return what inverse kinematics finds for tip positions, as `joints`."""
         robot = self.robot
-        axes = self.job.tool_axes
+        axes, tool_x = self.job.tool_axes, self.job.path.tool_x
         start = (
             robot.home
             if self.job.joint_start is None
@@ -77,7 +77,8 @@ class JobKinematics(eqx.Module):
             rows = padded_count(count)
             commanded = on_device(pad_rows(commanded, rows))
             axes = None if axes is None else on_device(pad_rows(axes, rows))
-        Ts = _poses(jnp.asarray(self.job.T_base_work), commanded, axes)
+            tool_x = None if tool_x is None else on_device(pad_rows(tool_x, rows))
+        Ts = _poses(jnp.asarray(self.job.T_base_work), commanded, axes, tool_x)
         return inverse_kinematics_path(
             robot,
             first_rows(Ts, count),
@@ -88,8 +89,9 @@ class JobKinematics(eqx.Module):
     def joints(self, commanded: Float[Array, "step 3"]) -> "JointRows":
         """Return the joint positions of tip positions, and which of them are reached.
 
-        The tool axis is the path's, tool x as near to x of `work` as that allows, or as
-        it suits the joints if the job leaves the tool's rotation free.
+        The tool axis is the path's. Tool x is the path's too; where that states none,
+        it is as near to x of `work` as the axis allows, or as it suits the joints if
+        the job leaves the tool's rotation free.
 
         Args:
             commanded: Tip positions in `work` [m], shape (step, 3).
@@ -103,7 +105,8 @@ class JobKinematics(eqx.Module):
 
     def poses(self, commanded: Float[Array, "step 3"]) -> Float[Array, "step 4 4"]:
         """Return the poses of the tool in the base for tip positions in `work`."""
-        return _poses(jnp.asarray(self.job.T_base_work), commanded, self.job.tool_axes)
+        T, path = jnp.asarray(self.job.T_base_work), self.job.path
+        return _poses(T, commanded, self.job.tool_axes, path.tool_x)
 
     def motors(self, commanded: Float[Array, "step 3"]) -> "JointRows":
         """Return the motor positions of tip positions, and which of them are reached.
@@ -185,12 +188,20 @@ def _poses(
     T_base_work: Float[Array, "4 4"],
     commanded: Float[Array, "step 3"],
     axes: Float[Array, "step 3"] | None,
+    tool_x: Float[Array, "step 3"] | Float[np.ndarray, "step 3"] | None,
 ) -> Float[Array, "step 4 4"]:
     tips = commanded @ T_base_work[:3, :3].T + T_base_work[:3, 3][None]
     Ts = jnp.broadcast_to(T_base_work[None], (commanded.shape[0], 4, 4))
-    if axes is not None:
-        frames = Pose.frame(axes.astype(Ts.dtype))
-        Ts = Ts.at[:, :3, :3].set(T_base_work[None, :3, :3] @ frames)
+    if axes is not None or tool_x is not None:
+        z = Pose.along(commanded, axes).direction()
+        if tool_x is None:
+            frames = Pose.frame(z)
+        else:
+            x = jnp.asarray(tool_x, z.dtype)
+            x = x - jnp.sum(x * z, axis=1, keepdims=True) * z
+            x = x / jnp.linalg.norm(x, axis=1, keepdims=True)
+            frames = jnp.stack([x, jnp.cross(z, x), z], axis=-1)
+        Ts = Ts.at[:, :3, :3].set(T_base_work[None, :3, :3] @ frames.astype(Ts.dtype))
     return Ts.at[:, :3, 3].set(tips)
 
 

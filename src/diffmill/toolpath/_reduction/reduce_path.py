@@ -10,7 +10,8 @@ from ..._types import RealScalarLike
 from .._path import Path
 from .spline import SplineFit
 
-# Two points of the tool keep the tolerance: the tip, and one so far up its axis [m].
+# Points of the tool keep the tolerance: the tip, one so far up its axis [m], and, where
+# the program states the rotation about the axis, one so far along its x.
 _LEVER = 0.1
 # A block covers no more rows than this; it bounds the work for each.
 _MOST_ROWS = 512
@@ -51,6 +52,9 @@ def reduce_path(
     if tolerance == 0 or time.size < 3:
         return path
     points = np.concatenate([np.asarray(path.positions), _LEVER * axes], axis=1)
+    if path.tool_x is not None:
+        side = _LEVER * np.asarray(path.tool_x)
+        points = np.concatenate([points, side], axis=1)
     if is_spline:
         # A row carries the kind of the motion that leads to it.
         changes = 1 + np.flatnonzero(np.diff(np.asarray(path.is_rapid)[1:]))
@@ -60,25 +64,34 @@ def reduce_path(
     else:
         corners = _corners(path, points, float(tolerance))
         kept, found = corners.rows, corners.points
-    directions = found[:, 3:] / np.linalg.norm(found[:, 3:], axis=1, keepdims=True)
+    directions, tool_x = axes[kept], None
+    if np.ptp(axes, axis=0).any():
+        directions = found[:, 3:6]
+        directions = directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    if path.tool_x is not None:
+        across = found[:, 6:]
+        along = np.sum(across * directions, axis=1, keepdims=True)
+        tool_x = across - along * directions
+        tool_x = tool_x / np.linalg.norm(tool_x, axis=1, keepdims=True)
     return Path(
         time=time[kept],
         positions=found[:, :3],
-        axes=directions if np.ptp(axes, axis=0).any() else axes[kept],
+        axes=directions,
         is_rapid=np.asarray(path.is_rapid)[kept],
         line=np.asarray(path.line)[kept],
+        tool_x=tool_x,
     )
 
 
 class _Corners(NamedTuple):
-    """Rows at which lines end, shape (corner,), and where [m], shape (corner, 6)."""
+    """Rows at which lines end, shape (corner,), and where [m], (corner, component)."""
 
     rows: Int[np.ndarray, " corner"]
-    points: Float[np.ndarray, "corner 6"]
+    points: Float[np.ndarray, "corner component"]
 
 
 def _corners(
-    path: Path, points: Float[np.ndarray, "row 6"], tolerance: float
+    path: Path, points: Float[np.ndarray, "row component"], tolerance: float
 ) -> _Corners:
     """Return the corners of lines that are as long as the tolerance allows."""
     time, is_rapid = np.asarray(path.time), np.asarray(path.is_rapid)
@@ -99,15 +112,15 @@ def _corners(
 
 
 class _Line(NamedTuple):
-    """Rows that a line can serve, and its speed [m/s], shape (6,)."""
+    """Rows that a line can serve, and its speed [m/s], shape (component,)."""
 
     rows: int
-    speed: Float[np.ndarray, " 6"]
+    speed: Float[np.ndarray, " component"]
 
 
 def _longest_line(
     span: Float[np.ndarray, " row"],
-    way: Float[np.ndarray, "row 6"],
+    way: Float[np.ndarray, "row component"],
     tolerance: RealScalarLike,
 ) -> _Line:
     """Return the line from the origin that serves most rows.
@@ -124,11 +137,6 @@ def _longest_line(
     for last in range(count, 1, -1):
         speed = 0.5 * (least[last - 1] + most[last - 1])
         gap = way[:last] - speed * span[:last, None]
-        if max(_largest(gap[:, :3]), _largest(gap[:, 3:])) <= tolerance:
+        if np.linalg.norm(gap.reshape(last, -1, 3), axis=2).max() <= tolerance:
             return _Line(last, speed)
     return _Line(1, way[0] / span[0])
-
-
-def _largest(gap: Float[np.ndarray, "row 3"]) -> float:
-    """Return the largest length."""
-    return float(np.max(np.linalg.norm(gap, axis=1)))

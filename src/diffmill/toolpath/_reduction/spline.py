@@ -21,7 +21,7 @@ _THINNER, _DENSER = 0.5, 2.0
 _APART = 8
 _BESIDE = 4
 
-Rows = Float[np.ndarray, "row 6"]
+Rows = Float[np.ndarray, "row component"]
 Knots = Int[np.ndarray, " _"]
 
 
@@ -30,8 +30,9 @@ class SplineFit:
 
     Args:
         time: Times of the rows [s], increasing.
-        points: Tip and a point up the tool's axis [m], shape (row, 6).
-        tolerance: Largest distance of both at the time of every row [m].
+        points: Tip, a point up the tool's axis and, where its rotation counts, one
+            along its x [m], shape (row, 6 or 9).
+        tolerance: Largest distance of each at the time of every row [m].
         fixed: Rows at which points stand anyhow, increasing.
     """
 
@@ -84,7 +85,7 @@ class SplineFit:
 
     def _misses(self, knots: Knots) -> Float[np.ndarray, " row"]:
         """Return how far every row is off, as a share of the tolerance."""
-        gap = (self.fitted(knots) - self.points).reshape(-1, 2, 3)
+        gap = (self.fitted(knots) - self.points).reshape(self.time.size, -1, 3)
         return np.linalg.norm(gap, axis=2).max(axis=1) / self.tolerance
 
     def _worst(self, knots: Knots) -> Float[np.ndarray, " interval"]:

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Int
 
 from .._moves import Move, Point, Program
-from .._turned_axes import LEAST_SUM, turned_axes
+from .._turned_axes import LEAST_SUM, turned_axes, turned_tool_x
 from .corners import REVERSAL_ANGLE, TANGENT_ANGLE, Corner, corner_angle, round_corner
 from .pieces import Blend, Piece, piece_of_move, scaled
 from .smoothing import slow_ranges
@@ -17,6 +17,8 @@ from .way_limits import WayLimit
 SHORTEST = 1e-12
 # Below a nanometre a rounded corner is an exact stop in all but name.
 _FINEST_TOLERANCE = 1e-9
+# Unit axes that are nearer to each other differ by rounding.
+_SAME_AXIS = 1e-9
 # What limits a motion, beside joints, which are named.
 FEED, ACCELERATION, CURVE, JERK = "feed", "acceleration", "curves", "jerk"
 
@@ -57,7 +59,8 @@ class TimingLimits(NamedTuple):
 class Leg(NamedTuple):
     """A piece with what limits its speed.
 
-    The tool axis turns evenly from `first_axis` to `last_axis`.
+    The tool turns evenly from `first_axis` to `last_axis`, and about its axis from
+    `first_x` to `last_x`.
 
     Attributes:
         piece: Its shape.
@@ -72,6 +75,8 @@ class Leg(NamedTuple):
         is_stop: Whether the tool is at rest at its end.
         first_axis: Unit tool axis at its start.
         last_axis: Unit tool axis at its end.
+        first_x: Unit x of the tool at its start; None where the program states none.
+        last_x: Unit x of the tool at its end.
     """
 
     piece: Piece
@@ -86,6 +91,8 @@ class Leg(NamedTuple):
     is_stop: bool = True
     first_axis: Point = (0.0, 0.0, 1.0)
     last_axis: Point = (0.0, 0.0, 1.0)
+    first_x: Point | None = None
+    last_x: Point | None = None
 
     def axis_at(self, distance: float) -> Point:
         """Return the unit tool axis at a distance from the start."""
@@ -94,6 +101,16 @@ class Leg(NamedTuple):
         share = np.array([distance / self.piece.length])
         first, last = np.array([self.first_axis]), np.array([self.last_axis])
         x, y, z = turned_axes(first, last, share)[0].tolist()
+        return x, y, z
+
+    def tool_x_at(self, distance: float) -> Point | None:
+        """Return the unit x of the tool at a distance from the start."""
+        if self.first_x is None or self.last_x is None:
+            return None
+        share, axis = np.array([distance / self.piece.length]), self.axis_at(distance)
+        first = np.array([[*self.first_axis, *self.first_x]])
+        last = np.array([[*self.last_axis, *self.last_x]])
+        x, y, z = turned_tool_x(first, last, share, np.array([axis]))[0].tolist()
         return x, y, z
 
     def slower(self, speed: float, cause: str) -> "Leg":
@@ -109,10 +126,11 @@ class Leg(NamedTuple):
             piece = self.piece
             assert not isinstance(piece, Blend)
             piece = piece.trimmed(head, max(tail, 0.0))
-            first = self.axis_at(head)
+            first, first_x = self.axis_at(head), self.tool_x_at(head)
             head += length
             part = self._replace(piece=piece, is_stop=False)
-            out.append(part._replace(first_axis=first, last_axis=self.axis_at(head)))
+            part = part._replace(first_axis=first, last_axis=self.axis_at(head))
+            out.append(part._replace(first_x=first_x, last_x=self.tool_x_at(head)))
         out[-1] = out[-1]._replace(is_stop=self.is_stop)
         return out
 
@@ -166,7 +184,8 @@ def _sharp_legs(program: Program, limits: TimingLimits) -> list[Leg]:
     if not moves:
         return []
     approach = program.moves[: program.approach_count]
-    axis = approach[-1].axis if approach else moves[0].axis
+    before = approach[-1] if approach else moves[0]
+    axis, tool_x = before.axis, before.tool_x
     legs = []
     for move in moves:
         if move.length > 0 or move.duration is not None:
@@ -176,9 +195,10 @@ def _sharp_legs(program: Program, limits: TimingLimits) -> list[Leg]:
                     "axis, and nothing says which way round."
                 )
             leg = _leg(move, limits, program.name)
-            legs.append(leg._replace(first_axis=axis, last_axis=move.axis))
-            axis = move.axis
-        elif move.axis != axis:
+            leg = leg._replace(first_axis=axis, last_axis=move.axis)
+            legs.append(leg._replace(first_x=tool_x, last_x=move.tool_x))
+            axis, tool_x = move.axis, move.tool_x
+        elif math.dist(move.axis, axis) > _SAME_AXIS:
             raise ValueError(
                 f"{program.name}, line {move.line}: the tool turns on the spot, which "
                 "has no time."
@@ -226,8 +246,9 @@ def _rounded(legs: list[Leg], tolerance: float) -> list[Leg]:
         if corner is not None and after is not None:
             speed = min(before.speed, after.speed)
             leg = after._replace(piece=corner.piece, asked=speed, speed=speed)
-            axis = before.last_axis
-            out.append(leg._replace(is_stop=False, first_axis=axis, last_axis=axis))
+            axis, x = before.last_axis, before.last_x
+            leg = leg._replace(first_axis=axis, last_axis=axis, first_x=x, last_x=x)
+            out.append(leg._replace(is_stop=False))
         head = tail
     return out
 

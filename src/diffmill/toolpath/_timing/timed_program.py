@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 from ..._types import RealScalarLike
 from .._moves import Program
 from .._path import MOST_STEPS, Path, check_steps
-from .._turned_axes import turned_axes
+from .._turned_axes import turned_axes, turned_tool_x
 from .cycle_time import CycleTime, Loss
 from .legs import (
     JERK,
@@ -207,12 +207,14 @@ class TimedProgram(NamedTuple):
         check_steps(float(duration / period), float(most_steps))
         rows = self._rows(period)
         index, distance = rows.piece, rows.distance
+        axes = _axes(self.legs, index, distance)
         return Path(
             time=period * np.arange(index.size),
             positions=_positions(self.legs, index, distance),
-            axes=_axes(self.legs, index, distance),
+            axes=axes,
             is_rapid=np.array([leg.is_rapid for leg in self.legs])[index],
             line=np.array([leg.line for leg in self.legs], dtype=np.int32)[index],
+            tool_x=_tool_x(self.legs, rows, axes),
         )
 
     def _way_at(self, path: Path) -> Float[np.ndarray, " step"]:
@@ -360,6 +362,19 @@ def _axes(
     )
     length = np.array([leg.piece.length or 1.0 for leg in legs])[index]
     return turned_axes(first, last, distance / length)
+
+
+def _tool_x(
+    legs: list[Leg], rows: "_Rows", axes: Float[np.ndarray, "step 3"]
+) -> Float[np.ndarray, "step 3"] | None:
+    """Unit x of the tool at the rows; None where the program states none somewhere."""
+    if any(leg.first_x is None or leg.last_x is None for leg in legs):
+        return None
+    first = np.array([(*leg.first_axis, *(leg.first_x or ())) for leg in legs])
+    last = np.array([(*leg.last_axis, *(leg.last_x or ())) for leg in legs])
+    length = np.array([leg.piece.length or 1.0 for leg in legs])
+    share = rows.distance / length[rows.piece]
+    return turned_tool_x(first[rows.piece], last[rows.piece], share, axes)
 
 
 def _positions(

@@ -5,6 +5,7 @@ CIRC, their spline forms and SPLINE blocks with SPL, $BASE, $TOOL, $VEL.CP, C_DI
 the like, WAIT SEC, and comments. A spline is a cubic one in time through its points.
 """
 
+import dataclasses
 import itertools
 import math
 import pathlib
@@ -12,11 +13,19 @@ import re
 
 import numpy as np
 
-from ....toolpath import Point, Program
+from ....toolpath import Move, Point, Program
 from ..expressions import split_arguments, value_of
 from ..faults import SHOWN_FAULTS, ProgramError
-from ..geometry import ToolPlace, axis_of_abc, rotation_of_abc
+from ..geometry import (
+    ToolAxis,
+    ToolPlace,
+    abc_of_rotation,
+    controller_matrix,
+    rotation_of_abc,
+    tool_place,
+)
 from ..text import split_lines
+from .external_axes import ExternalAxes
 from .krl_frames import KrlFrames, numbered_base
 from .reader import Reader
 
@@ -43,6 +52,17 @@ _SCALAR = re.compile(
     r"\s*=\s*([^{}]+)",
     re.IGNORECASE,
 )
+# Data of inline forms: how the tool turns along a line is all of them that counts.
+_LINE_DATA = re.compile(
+    r"(?:GLOBAL\s+)?(?:DECL\s+)?(?:GLOBAL\s+)?LDAT\s+(\w+)\s*=\s*(\{.*\})",
+    re.IGNORECASE,
+)
+_DATA_IN_FORCE = re.compile(r"([LP])DAT_ACT\s*=\s*(.+)", re.IGNORECASE)
+_ORIENTATION = re.compile(r"ORI_TYPE?\s+#(\w+)", re.IGNORECASE)
+_OF_LINE_DATA = re.compile(r"SORI_TYP\s*\(\s*(\w+)\s*\)", re.IGNORECASE)
+# Where the arm is, such as in PTP $AXIS_ACT: the motion goes nowhere.
+_IN_PLACE = re.compile(r"\$(?:AXIS_ACT|POS_ACT)\b", re.IGNORECASE)
+_HOME = re.compile(r"X?HOME\d*|\$H_POS|\$AXIS_HOME(?:\[\d+\])?", re.IGNORECASE)
 _MOTION = re.compile(
     r"(PTP|LIN|CIRC|SPL|SPTP|SLIN|SCIRC)(_REL)?\s+(.*)", re.IGNORECASE | re.DOTALL
 )
@@ -59,15 +79,28 @@ _TIME = re.compile(
     re.IGNORECASE,
 )
 _WAIT = re.compile(rf"WAIT\s+SEC\s+({_NUMBER})", re.IGNORECASE)
+# What cannot change tool, place or arm; whatever is not among it is refused.
+_QUIET_DATA = (
+    r"ACC|APO|VEL|ADVANCE|VEL_AXIS|ACC_AXIS|VEL_EXTAX|ACC_EXTAX|BWDSTART|H_POS|LOAD"
+    r"|JERK|GEAR_JERK|OUT|ANOUT|FLAG|CYCFLAG|TIMER|TIMER_STOP"
+)
 _QUIET = re.compile(
     r"&.*|DEFDAT\b.*|ENDDAT|EXT\b.*|INI|DECL\b.*|(?:GLOBAL\s+)?INTERRUPT\b.*"
-    r"|BAS\s*\(.*\)|\$(?:ACC|APO|VEL|ORI_TYPE|CIRC_TYPE|ADVANCE|IPO_MODE|VEL_AXIS"
-    r"|ACC_AXIS|BWDSTART|H_POS|LOAD|JERK)\b.*|\$(?:OUT|ANOUT)\b.*|PULSE\s*\(.*\)"
-    r"|TRIGGER\b.*\bDO\s+\$(?:OUT|ANOUT)\b.*|CONTINUE|SET_CD_PARAMS\s*\(.*\)"
-    r"|[LP]DAT_ACT\s*=.*",
+    r"|BAS\s*\(\s*#(?:INITMOV|ACC_CP|ACC_PTP|VEL_PTP|PTP_DAT|PTP_PARAMS|CP_DAT|FRAMES)"
+    rf"\b.*\)|\$(?:{_QUIET_DATA})\b.*|PULSE\s*\(.*\)"
+    r"|TRIGGER\b.*\bDO\s+\$(?:OUT|ANOUT)\b.*|CONTINUE|SET_CD_PARAMS\s*\(.*\)",
+    re.IGNORECASE,
+)
+_QUIET_WITH = re.compile(
+    r"\$(?:ACC|APO|JERK|GEAR_JERK|VEL_AXIS|ACC_AXIS|VEL_EXTAX|ACC_EXTAX)\b.*",
     re.IGNORECASE,
 )
 _FRAMES = frozenset(["BASE", "TOOL", "IPO_MODE"])
+# How the tool turns along a motion.
+_TURNS = frozenset(["ORI_TYPE", "CIRC_TYPE"])
+_EXTERNAL = frozenset(["E1", "E2", "E3", "E4", "E5", "E6"])
+# Larger numbers are no places [mm] and no angles [deg].
+_LARGEST = 1e6
 _CHOSEN_BY_BAS = frozenset(["VEL_CP", "CP_PARAMS", "BASE", "TOOL"])
 _JOINTS = frozenset(["A1", "A2", "A3", "A4", "A5", "A6"])
 # A spline is read as so many straight pieces between two of its points at most.
@@ -78,11 +111,19 @@ _SPLINE_TOLERANCE = 0.1e-6
 class _Krl(Reader):
     """State of the reader of KRL."""
 
-    def __init__(self) -> None:
-        super().__init__()
+    def __init__(self, tool_axis: ToolAxis) -> None:
+        super().__init__(tool_axis=tool_axis)
         self.frames: dict[str, dict[str, float]] = {}
         self.scalars: dict[str, float] = {}
-        self.values: dict[str, float] = dict.fromkeys("XYZABC", 0.0)
+        # An upright tool, until the program states an orientation.
+        upright = controller_matrix(Move(self.position, self.position), tool_axis)
+        angles = zip("ABC", abc_of_rotation(upright), strict=True)
+        self.values: dict[str, float] = dict.fromkeys("XYZ", 0.0) | dict(angles)
+        self.is_turned = False
+        self.first_angles: Point | None = None
+        self.turns = {"ORI_TYPE": "VAR", "CIRC_TYPE": "BASE"}
+        self.line_data: dict[str, str] = {}
+        self.external, self.external_axes = dict[str, float](), ExternalAxes()
         self.base_and_tool = KrlFrames()
         self.spline: list[_Knot] | None = None
         # The feed outside of the spline block.
@@ -93,29 +134,38 @@ class _Krl(Reader):
 class _Knot:
     """A point of a spline block: where, how and how fast it is reached, which share."""
 
-    def __init__(self, point: Point, axis: Point, line: int, kind: str):
-        self.point, self.axis, self.line, self.kind = point, axis, line, kind
-        self.through, self.share = point, math.nan
+    def __init__(self, place: ToolPlace, line: int, kind: str):
+        self.place, self.line, self.kind = place, line, kind
+        self.through, self.share = place.tip, math.nan
         self.feed: float | None = None
 
 
-def parse_krl(text: str, data: str = "", *, name: str = "program.src") -> Program:
+def parse_krl(
+    text: str,
+    data: str = "",
+    *,
+    name: str = "program.src",
+    tool_axis: ToolAxis = "z",
+) -> Program:
     """Return the moves of a KRL program.
 
     Args:
         text: The .src file.
         data: The .dat file beside it.
         name: Name for messages.
+        tool_axis: Axis of the controller's tool that points from the shank to the tip.
 
     Raises:
         ProgramError: If anything but plain motion is found; up to 20 faults.
     """
-    reader = _Krl()
+    reader = _Krl(tool_axis)
     for number, row in enumerate(split_lines(data, name), 1):
         bare = _bare(row)
         # Other data of inline forms hold names and are of no motion.
         if found := _FRAME_DATA.fullmatch(bare):
             reader.base_and_tool.declare(found[1], found[2])
+        elif found := _LINE_DATA.fullmatch(bare):
+            reader.line_data[found[1].upper()] = found[2]
         elif found := _DECLARED.fullmatch(bare):
             reader.frames[found[1].upper()] = _components(found[2], number, reader)
         elif found := _SCALAR.fullmatch(bare):
@@ -130,7 +180,23 @@ def parse_krl(text: str, data: str = "", *, name: str = "program.src") -> Progra
             break
     if reader.faults:
         raise ProgramError(name, reader.faults)
-    return reader.out.finish(text, name)
+    frames = reader.base_and_tool
+    reader.note_upright_axis()
+    program = reader.out.finish(text, name)
+    poses = [frames.tool_pose(part.tool, reader) for part in program.sections]
+    base = frames.base_pose()
+    return dataclasses.replace(
+        program,
+        sections=tuple(
+            part
+            if pose is None
+            else part._replace(tool_position=pose.position, tool_rpy=pose.rpy)
+            for part, pose in zip(program.sections, poses, strict=True)
+        ),
+        work_position=None if base is None else base.position,
+        work_rpy=None if base is None else base.rpy,
+        first_angles=reader.first_angles,
+    )
 
 
 def _bare(row: str) -> str:
@@ -153,7 +219,11 @@ def _components(text: str, line: int, reader: Reader) -> dict[str, float]:
         if match is None:
             reader.refuse(line, part, "a component is a name and a number.")
             return {}
-        found[match[1].upper()] = float(match[2])
+        value = float(match[2])
+        if not abs(value) <= _LARGEST and match[1].upper() not in _EXTERNAL:
+            reader.refuse(line, part, f"a component is {_LARGEST:g} at most.")
+            return {}
+        found[match[1].upper()] = value
     return found
 
 
@@ -169,20 +239,28 @@ def _statement(row: str, line: int, reader: _Krl) -> None:
         _set_speed(found[1], row, line, reader)
     elif (found := _ASSIGNED.fullmatch(row)) and found[1].upper() in _FRAMES:
         _set_frame(found[1].upper(), found[2], line, reader)
+    elif found and found[1].upper() in _TURNS:
+        _set_turn(found[1].upper(), found[2], line, reader)
+    elif found := _DATA_IN_FORCE.fullmatch(row):
+        data = reader.line_data.get(found[2].strip().upper(), found[2])
+        if turn := _ORIENTATION.search(data):
+            _set_turn("ORI_TYPE", f"#{turn[1]}", line, reader)
     elif found := re.fullmatch(r"FDAT_ACT\s*=\s*(.+)", row, re.IGNORECASE):
         _set_frame("FDAT_ACT", found[1], line, reader)
     elif (found := _BAS.fullmatch(row)) and found[1].upper() in _CHOSEN_BY_BAS:
         _basic(found[1].upper(), found[2] or "", row, line, reader)
     elif found := _FRAME_DATA.fullmatch(row):
         reader.base_and_tool.declare(found[1], found[2])
-    elif found := _DECLARED.fullmatch(row):
+    elif found := _LINE_DATA.fullmatch(row):
+        reader.line_data[found[1].upper()] = found[2]
+    elif (found := _DECLARED.fullmatch(row)) and not found[1].startswith("$"):
         reader.frames[found[1].upper()] = _components(found[2], line, reader)
     elif word in ("SPLINE", "ENDSPLINE"):
         _spline(word, row, line, reader)
     elif found := _TIME.fullmatch(row):
         _time_block(found, line, reader)
     elif found := _WAIT.fullmatch(row):
-        reader.out.rest(float(found[1]))
+        reader.rest(float(found[1]), row, line)
     elif found := _MOTION.fullmatch(row):
         _motion(found[1].upper(), found[3], line, reader, is_relative=bool(found[2]))
     elif (found := _SCALAR.fullmatch(row)) and _set_scalar(found, line, reader):
@@ -203,11 +281,28 @@ def _set_speed(value: str, row: str, line: int, reader: _Krl) -> None:
         value = found[1]
     elif found := _CP_OF_DATA.fullmatch(value):
         value = split_arguments(found[1])[0]
-    feed = value_of(value, reader.scalars, truncates=True)
-    if not feed > 0:
-        message = "a speed is above 0, in numbers or declared ones with + - * /."
-        reader.refuse(line, row, message)
-    reader.feed = feed
+    reader.set_feed(value_of(value, reader.scalars, truncates=True), row, line)
+
+
+def _set_turn(name: str, value: str, line: int, reader: _Krl) -> None:
+    """Set how the tool turns along a motion: $ORI_TYPE or $CIRC_TYPE."""
+    value = value.strip()
+    if found := _OF_LINE_DATA.fullmatch(value):
+        data = _ORIENTATION.search(reader.line_data.get(found[1].upper(), ""))
+        value = "#VAR" if data is None else f"#{data[1]}"
+    word = value.upper().removeprefix("#")
+    if word not in ("VAR", "CONSTANT", "JOINT", "BASE", "PATH"):
+        message = (
+            "allowed are #VAR, #CONSTANT and #JOINT, for a circle #BASE and #PATH."
+        )
+        reader.refuse(line, f"${name}={value}", message)
+    elif word == "CONSTANT":
+        sentence = "#CONSTANT: the tool keeps the orientation of the start"
+        reader.out.note(f"${name}", sentence, line)
+    elif word != "BASE":
+        sentence = "ends are as stated; between them the tool turns evenly here"
+        reader.out.note(f"${name}", sentence, line)
+    reader.turns[name] = word
 
 
 def _set_scalar(found: re.Match[str], line: int, reader: _Krl) -> bool:
@@ -229,8 +324,14 @@ def _set_frame(kind: str, value: str, line: int, reader: _Krl) -> None:
     """Choose base, tool, or both by the data of an inline form."""
     held, value = reader.base_and_tool, value.strip()
     data = held.named(value)
-    if kind == "TOOL":
-        held.choose_tool(value)
+    if re.match(r"EK\b", value, re.IGNORECASE):
+        message = "a base on a table that turns is not supported; `work` stands still."
+        reader.refuse(line, value, message)
+    elif kind == "TOOL" and held.is_undeclared(value):
+        reader.out.note(value[:40], "is not declared, so the tool stays as it is", line)
+    elif kind == "TOOL":
+        written = _components(value, line, reader) if value.startswith("{") else None
+        held.choose_tool(value, reader.frames, written)
     elif kind == "IPO_MODE":
         is_external = value.upper() == "#TCP" or (data is not None and data.is_external)
         held.choose_external(is_external)
@@ -243,8 +344,10 @@ def _set_frame(kind: str, value: str, line: int, reader: _Krl) -> None:
         held.choose_base(numbered_base(data.base, reader.frames), line)
     elif value.startswith("{"):
         held.choose_base(_components(value, line, reader), line)
+    elif value.upper() == "$NULLFRAME":
+        held.choose_base(numbered_base(0, reader.frames), line)
     else:
-        name = value.upper()
+        name = "".join(value.upper().split())
         held.choose_base(reader.frames.get(name, {name: 0.0}), line)
 
 
@@ -260,7 +363,8 @@ def _basic(kind: str, value: str, row: str, line: int, reader: _Krl) -> None:
         base = numbered_base(int(number), reader.frames)
         reader.base_and_tool.choose_base(base, line)
     else:
-        reader.base_and_tool.choose_tool(f"TOOL_DATA[{number:.0f}]")
+        name = f"TOOL_DATA[{number:.0f}]"
+        reader.base_and_tool.choose_tool(name, reader.frames)
 
 
 def _set_with(text: str, line: int, reader: _Krl) -> None:
@@ -271,6 +375,10 @@ def _set_with(text: str, line: int, reader: _Krl) -> None:
             _set_speed(found[2], part, line, reader)
         elif found and found[1].upper() in _FRAMES:
             _set_frame(found[1].upper(), found[2], line, reader)
+        elif found and found[1].upper() in _TURNS:
+            _set_turn(found[1].upper(), found[2], line, reader)
+        elif not _QUIET_WITH.fullmatch(part):
+            reader.refuse(line, part, "is not supported behind WITH.")
 
 
 def _pose(text: str, line: int, reader: _Krl) -> dict[str, float] | None:
@@ -279,7 +387,7 @@ def _pose(text: str, line: int, reader: _Krl) -> dict[str, float] | None:
     if text.startswith("{"):
         return _components(text, line, reader)
     found = reader.frames.get(text.upper())
-    if found is None and text.upper() in ("HOME", "XHOME"):
+    if found is None and _HOME.fullmatch(text):
         return dict.fromkeys(_JOINTS, 0.0)
     if found is None:
         reader.refuse(line, text, "no position of this name is declared as numbers.")
@@ -295,6 +403,9 @@ def _motion(
     rest = _APPROXIMATION.sub("", rest).strip()
     parts = re.findall(r"\{[^{}]*\}|[^,{}]+|[{}]", rest)
     parts = [part.strip() for part in parts if part.strip()]
+    if len(parts) == 1 and _IN_PLACE.fullmatch(parts[0]):
+        reader.out.note(parts[0], "stays where the arm is", line)
+        return
     wanted = 2 if kind in ("CIRC", "SCIRC") else 1
     turn = _ANGLE.fullmatch(parts[-1]) if len(parts) == 3 and wanted == 2 else None
     parts = parts[:2] if turn is not None else parts
@@ -305,33 +416,48 @@ def _motion(
     if any(pose is None for pose in poses):
         return
     found = [pose for pose in poses if pose is not None]
+    axes = {key: at for key, at in found[-1].items() if key in _EXTERNAL}
+    if is_relative and any(axes.values()):
+        reader.refuse(line, rest, "a relative motion of an external axis.")
+    reader.external |= {} if is_relative else axes
     if _JOINTS & set(found[-1]):
         message = "goes to joint angles; the motion is taken up at the next position"
         reader.out.note(kind, message, line)
         reader.lose_place(line)
+        reader.is_turned = False
         return
     if not reader.is_placed and not is_relative and {*"XYZ"} - set(found[-1]):
         if reader.out.moves:
             message = "after a motion of joints or another tool, state X, Y and Z."
             reader.refuse(line, rest, message)
     before, chosen = reader.feed, reader.base_and_tool.chosen
-    _set_with(_APPROXIMATION.sub("", extra[0]) if extra else "", line, reader)
+    turns = dict(reader.turns)
+    if extra:
+        _set_with(_APPROXIMATION.sub("", extra[0]), line, reader)
     reader.base_and_tool.take(line, reader)
+    reader.external_axes.take(reader.external, line, reader)
     if is_relative:
         is_tool = along is not None and along[1].upper() == "TOOL"
         found = [_moved(pose, is_tool, rest, line, reader) for pose in found]
+    if kind not in ("PTP", "SPTP") and reader.turns["ORI_TYPE"] == "CONSTANT":
+        if wanted == 2 and reader.turns["CIRC_TYPE"] == "PATH":
+            message = "an orientation that follows the circle is not supported."
+            reader.refuse(line, rest, message)
+        found = [_without_angles(pose) for pose in found]
+    _take_orientation(found[-1], line, reader)
     middle = _apply(found[0], dict(reader.values))
     reader.values = _apply(found[-1], reader.values)
-    point, axis = _place(reader.values)
+    place = _place(reader.values, reader)
     if reader.spline is not None:
         if turn is not None:
             reader.refuse(line, turn[0], "in a SPLINE block, leave CA out.")
-        reader.spline.append(_Knot(point, axis, line, kind))
-        reader.spline[-1].through = _place(middle).tip
+        reader.spline.append(_Knot(place, line, kind))
+        reader.spline[-1].through = _place(middle, reader).tip
         reader.spline[-1].feed = reader.feed
     elif kind in ("CIRC", "SCIRC"):
         angle = None if turn is None else math.radians(float(turn[1]))
-        reader.arc_to(_place(middle).tip, point, axis, line, angle=angle)
+        through, axis = _place(middle, reader).tip, place.axis
+        reader.arc_to(through, place.tip, axis, line, angle=angle, tool_x=place.tool_x)
         x, y, z = (1e3 * value for value in reader.position)
         reader.values |= {"X": x, "Y": y, "Z": z}
     elif kind == "SPL":
@@ -339,8 +465,27 @@ def _motion(
     else:
         if kind in ("PTP", "SPTP"):
             reader.out.note(kind, "is taken as a straight rapid move", line)
-        reader.line_to(point, axis, line, is_rapid=kind in ("PTP", "SPTP"))
-    reader.feed, reader.base_and_tool.chosen = before, chosen
+        is_rapid = kind in ("PTP", "SPTP")
+        tip, axis, tool_x = place
+        reader.line_to(tip, axis, line, is_rapid=is_rapid, tool_x=tool_x)
+    reader.feed, reader.base_and_tool.chosen, reader.turns = before, chosen, turns
+
+
+def _without_angles(pose: dict[str, float]) -> dict[str, float]:
+    """Return a position without its orientation."""
+    return {key: value for key, value in pose.items() if key not in "ABC"}
+
+
+def _take_orientation(pose: dict[str, float], line: int, reader: _Krl) -> None:
+    """Take over whether an orientation is stated, and the first of all."""
+    if not reader.is_turned and not set("ABC") & set(pose):
+        sentence = "are not stated; the tool is taken to stand upright"
+        reader.out.note("A, B, C", sentence, line)
+        return
+    if reader.first_angles is None:
+        angles = _apply(pose, reader.values)
+        reader.first_angles = (angles["A"], angles["B"], angles["C"])
+    reader.is_turned = True
 
 
 def _moved(
@@ -364,9 +509,11 @@ def _apply(pose: dict[str, float], values: dict[str, float]) -> dict[str, float]
     return {key: pose.get(key, value) for key, value in values.items()}
 
 
-def _place(values: dict[str, float]) -> ToolPlace:
+def _place(values: dict[str, float], reader: _Krl) -> ToolPlace:
     point = (1e-3 * values["X"], 1e-3 * values["Y"], 1e-3 * values["Z"])
-    return ToolPlace(point, axis_of_abc(values["A"], values["B"], values["C"]))
+    R = rotation_of_abc(values["A"], values["B"], values["C"])
+    place = tool_place(point, R, reader.tool_axis)
+    return place if reader.is_turned else place._replace(tool_x=None)
 
 
 def _time_block(found: re.Match[str], line: int, reader: _Krl) -> None:
@@ -411,11 +558,12 @@ def _spline(word: str, row: str, line: int, reader: _Krl) -> None:
         for knot in run:
             reader.feed = knot.feed
             pace = None if math.isnan(knot.share) else knot.share
-            end, at = (knot.point, knot.axis), knot.line
+            (tip, axis, tool_x), at = knot.place, knot.line
             if knot.kind in ("CIRC", "SCIRC"):
-                reader.arc_to(knot.through, *end, at, duration=pace)
+                through = knot.through
+                reader.arc_to(through, tip, axis, at, duration=pace, tool_x=tool_x)
             else:
-                reader.line_to(*end, at, duration=pace)
+                reader.line_to(tip, axis, at, duration=pace, tool_x=tool_x)
     reader.feed = reader.outer_feed
 
 
@@ -423,8 +571,12 @@ def _spline_moves(knots: list[_Knot], line: int, reader: _Krl) -> None:
     """Make the moves of a cubic spline through points."""
     from scipy.interpolate import CubicSpline
 
-    points = np.array([reader.position, *(knot.point for knot in knots)])
-    axes = np.array([reader.axis, *(knot.axis for knot in knots)])
+    here = ToolPlace(reader.position, reader.axis, reader.tool_x)
+    places = [here, *(knot.place for knot in knots)]
+    is_turned = all(place.tool_x is not None for place in places)
+    columns = 3 if is_turned else 2
+    rows = np.array([np.concatenate(place[:columns]) for place in places])
+    points = rows[:, :3]
     shares = np.array([knot.share for knot in knots])
     is_timed = not np.isnan(shares).any()
     steps = shares if is_timed else np.linalg.norm(np.diff(points, axis=0), axis=1)
@@ -432,7 +584,7 @@ def _spline_moves(knots: list[_Knot], line: int, reader: _Krl) -> None:
         reader.refuse(line, "ENDSPLINE", "two points of the spline are the same.")
         return
     time = np.concatenate([[0.0], np.cumsum(steps)])
-    curve = CubicSpline(time, np.concatenate([points, axes], axis=1), bc_type="natural")
+    curve = CubicSpline(time, rows, bc_type="natural")
     bend = np.linalg.norm(curve(time, 2)[:, :3], axis=1)
     for index, knot in enumerate(knots):
         reader.feed = knot.feed
@@ -441,8 +593,12 @@ def _spline_moves(knots: list[_Knot], line: int, reader: _Krl) -> None:
         count = min(max(count, 1), _MOST_PIECES)
         at = time[index] + steps[index] * np.arange(1, count + 1) / count
         for row in curve(at):
-            unit = row[3:] / np.linalg.norm(row[3:])
             x, y, z = row[:3].tolist()
-            i, j, k = unit.tolist()
+            i, j, k = unit = row[3:6] / np.linalg.norm(row[3:6])
+            axis, tool_x = (float(i), float(j), float(k)), None
+            if is_turned:
+                u, v, w = across = row[6:] - (row[6:] @ unit) * unit
+                size = float(np.linalg.norm(across))
+                tool_x = (float(u) / size, float(v) / size, float(w) / size)
             duration = float(steps[index]) / count if is_timed else None
-            reader.line_to((x, y, z), (i, j, k), knot.line, duration=duration)
+            reader.line_to((x, y, z), axis, knot.line, duration=duration, tool_x=tool_x)

@@ -4,6 +4,11 @@ import re
 from collections.abc import Mapping
 from typing import NamedTuple
 
+import numpy as np
+from jaxtyping import Float
+
+from ....toolpath import Point
+from ..geometry import rotation_of_abc, rpy_of_rotation, tool_rotation
 from .reader import Reader
 
 _NUMBERED = re.compile(r"TOOL_DATA\s*\[\s*(\d+)\s*\]", re.IGNORECASE)
@@ -16,6 +21,8 @@ _BASE = re.compile(r"BASE_NO\s+(\d+)", re.IGNORECASE)
 _EXTERNAL = re.compile(r"IPO_FRAME\s+#TCP\b", re.IGNORECASE)
 
 Frame = dict[str, float]
+_UNKNOWN = "its numbers are not in the program"
+_NULL: Frame = dict.fromkeys("XYZABC", 0.0)
 
 
 class FrameData(NamedTuple):
@@ -33,16 +40,38 @@ class ChosenFrames(NamedTuple):
     """The frames in force.
 
     Attributes:
-        base: The base; None before the first.
+        base: The base; None for that in force before the program.
         line: The line that chose it.
-        tool: Number of the tool; None if it has none.
+        tool: The tool; None before the first.
         is_external: Whether the work moves about a tool that stands.
     """
 
     base: Frame | None = None
     line: int = 0
-    tool: int | None = None
+    tool: "KrlTool | None" = None
     is_external: bool = False
+
+
+class KrlTool(NamedTuple):
+    """A tool of a program.
+
+    Attributes:
+        name: As the program writes it.
+        number: Its number; None if it is written out.
+        frame: Its components; None where they are not in the program. A tool is known
+            by them, if they are there.
+    """
+
+    name: str
+    number: int | None
+    frame: Frame | None
+
+    @property
+    def key(self) -> str:
+        """What makes it another tool than another."""
+        if self.frame is None:
+            return self.name
+        return ",".join(f"{self.frame.get(key, 0.0):.6f}" for key in "XYZABC")
 
 
 class KrlFrames:
@@ -57,7 +86,11 @@ class KrlFrames:
     def __init__(self) -> None:
         self.chosen = ChosenFrames()
         self._data: dict[str, FrameData] = {}
-        self._used: Frame | None = None
+        self._used: ChosenFrames | None = None
+        # Tools that have moved by what they are known by, and their numbers.
+        self._tools: dict[str, KrlTool] = {}
+        self._numbers: dict[str, int | None] = {}
+        self._tool_at_work: KrlTool | None = None
 
     def declare(self, name: str, text: str) -> None:
         """Keep FDAT data, such as {TOOL_NO 1,BASE_NO 2,IPO_FRAME #BASE}."""
@@ -67,16 +100,33 @@ class KrlFrames:
         """Let a base hold."""
         self.chosen = self.chosen._replace(base=base, line=line)
 
-    def choose_tool(self, value: str) -> None:
-        """Let a tool hold, by number or by FDAT data; what is written out has none."""
-        if found := _NUMBERED.fullmatch(value.strip()):
-            self.chosen = self.chosen._replace(tool=int(found[1]))
+    def choose_tool(
+        self, value: str, frames: Mapping[str, Frame], frame: Frame | None = None
+    ) -> None:
+        """Let a tool hold: by number, by FDAT data, by a name, or written out.
+
+        Args:
+            value: What the program says.
+            frames: Declared frames by name.
+            frame: Components of a tool that is written out.
+        """
+        name = "".join(value.upper().split())
+        if found := _NUMBERED.fullmatch(name):
+            tool = _numbered_tool(int(found[1]), frames)
         elif (data := self.named(value)) is not None and data.tool is not None:
-            self.chosen = self.chosen._replace(tool=data.tool)
+            tool = _numbered_tool(data.tool, frames)
+        else:
+            known = _NULL if name == "$NULLFRAME" else frames.get(name)
+            tool = KrlTool(name, None, frame if frame is not None else known)
+        self.chosen = self.chosen._replace(tool=tool)
 
     def choose_external(self, is_external: bool) -> None:
         """Let the tool stand while the work moves, or the other way round."""
         self.chosen = self.chosen._replace(is_external=is_external)
+
+    def is_undeclared(self, value: str) -> bool:
+        """Whether a value names data of an inline form that nobody declares."""
+        return bool(_OF_DATA.fullmatch(value.strip())) and self.named(value) is None
 
     def named(self, value: str) -> FrameData | None:
         """Return the data that a value such as SBASE(FP1.BASE_NO) or FP1 names."""
@@ -93,33 +143,110 @@ class KrlFrames:
         if data.base is not None:
             self.choose_base(numbered_base(data.base, frames), line)
         if data.tool is not None:
-            self.chosen = self.chosen._replace(tool=data.tool)
+            tool = _numbered_tool(data.tool, frames)
+            self.chosen = self.chosen._replace(tool=tool)
         self.choose_external(data.is_external)
 
     def take(self, line: int, reader: Reader) -> None:
         """Use the frames in force for a motion: another tool begins a section."""
-        base, chosen_at, tool, is_external = self.chosen
-        if is_external:
+        if self.chosen.is_external:
             message = "a tool that stands while the work moves is not supported."
             reader.refuse(line, "IPO_FRAME #TCP", message)
-        if base is not None and self._used not in (None, base):
+        base = self.chosen.base
+        if self._used is None and base is not None and not _is_known(base):
+            reader.out.note(*base, _UNKNOWN, line)
+        used = self.chosen if self._used is None else self._used
+        if used.base != self.chosen.base:
             message = "a program with several bases is not supported; `work` is one."
-            reader.refuse(chosen_at, "base", message)
-        self._used = self._used if base is None else base
-        if tool is None or tool == reader.out.tool:
+            if used.base is None:
+                message += " What moves before it is in a base that nobody states."
+            reader.refuse(self.chosen.line, "base", message)
+        self._used = self.chosen
+        tool, before = self.chosen.tool, self._tool_at_work
+        if tool is None or (before is not None and tool.key == before.key):
             return
-        if reader.out.tool is None and reader.out.moves:
-            message = f"what moves before it is taken to be tool {tool} too"
-            reader.out.note("tool", message, line)
-            reader.out.name_tool(tool)
+        self._tool_at_work = tool
+        if tool.key not in self._tools and tool.frame is None:
+            reader.out.note(tool.name, _UNKNOWN, line)
+        self._tools.setdefault(tool.key, tool)
+        if before is None:
+            self._numbers[tool.key] = tool.number
+            if reader.out.moves:
+                message = f"what moves before it is taken to be {tool.name} too"
+                reader.out.note("tool", message, line)
+            if tool.number is not None:
+                reader.out.name_tool(tool.number)
             return
+        if self._numbers[before.key] is None:
+            # RAPID and KRL have no numbers of tools that are written out.
+            self._number(before, 1, line, reader)
+            reader.out.name_tool(1)
+        if tool.key not in self._numbers:
+            taken = self._numbers.values()
+            number = tool.number
+            if number is None or number in taken:
+                number = next(n for n in range(1, len(taken) + 2) if n not in taken)
+            self._number(tool, number, line, reader)
         reader.is_placed = reader.is_placed and not reader.out.moves
-        reader.out.change_tool(tool, line)
+        reader.out.change_tool(self._numbers[tool.key] or 0, line)
+
+    def _number(self, tool: KrlTool, number: int, line: int, reader: Reader) -> None:
+        """Give a tool its number, and say so where the program has another name."""
+        self._numbers[tool.key] = number
+        if number != tool.number:
+            reader.out.note(tool.name, f"is tool {number}", line)
+
+    def base_pose(self) -> "StatedPose | None":
+        """Pose of `work` in the base of the robot, if the program states it."""
+        base = None if self._used is None else self._used.base
+        if base is None or not _is_known(base):
+            return None
+        return _pose(base, rotation_of_abc(*(base.get(key, 0.0) for key in "ABC")))
+
+    def tool_pose(self, number: int | None, reader: Reader) -> "StatedPose | None":
+        """Pose of a tool in the flange, z up the shank, if the program states it."""
+        keys = [key for key, own in self._numbers.items() if own == number]
+        frame = self._tools[keys[0]].frame if keys else None
+        if frame is None or not _is_known(frame):
+            return None
+        R = rotation_of_abc(*(frame.get(key, 0.0) for key in "ABC"))
+        return _pose(frame, tool_rotation(R, reader.tool_axis))
+
+
+class StatedPose(NamedTuple):
+    """A pose that a program states.
+
+    Attributes:
+        position: [m].
+        rpy: Roll, pitch and yaw [rad].
+    """
+
+    position: Point
+    rpy: Point
+
+
+def _is_known(frame: Frame) -> bool:
+    """Whether a frame has numbers, and not only a name."""
+    return set(frame) <= set("XYZABC")
+
+
+def _pose(frame: Frame, R: Float[np.ndarray, "3 3"]) -> StatedPose:
+    """Pose of the components of a frame and its rotation."""
+    x, y, z = (1e-3 * frame.get(key, 0.0) for key in "XYZ")
+    return StatedPose((x, y, z), rpy_of_rotation(R))
+
+
+def _numbered_tool(number: int, frames: Mapping[str, Frame]) -> KrlTool:
+    """Tool of a number: as declared, else known by its name."""
+    name = f"TOOL_DATA[{number}]"
+    return KrlTool(name, number, frames.get(name, None if number else _NULL))
 
 
 def numbered_base(number: int, frames: Mapping[str, Frame]) -> Frame:
     """Return the base of a number: as declared, else by its name."""
-    name = f"BASE_DATA[{number}]" if number else "$NULLFRAME"
+    if not number:
+        return _NULL
+    name = f"BASE_DATA[{number}]"
     return frames.get(name, {name: 0.0})
 
 

@@ -5,16 +5,27 @@ Offs, speeds with V or T and under VelSet, zones, tools and work objects, WaitTi
 comments.
 """
 
+import dataclasses
 import math
 import re
+from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
-from ....toolpath import Program
+from ....toolpath import Point, Program
 from ..expressions import split_arguments, value_of
 from ..faults import SHOWN_FAULTS, ProgramError
-from ..geometry import ToolPlace, axis_of_quaternion
+from ..geometry import (
+    ToolAxis,
+    ToolPlace,
+    rotation_of_quaternion,
+    rpy_of_rotation,
+    tool_place,
+    tool_rotation,
+)
 from ..text import split_lines
+from .external_axes import ExternalAxes
 from .reader import Reader
 
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
@@ -38,11 +49,16 @@ _FRAME = re.compile(
     r"|(?:ENDMODULE|ENDPROC)\b|%%%|VERSION\s*:\s*1\b|LANGUAGE\s*:\s*ENGLISH\b)\s*",
     re.IGNORECASE,
 )
+# What cannot change tool, place or arm; whatever is not among it is refused. That the
+# controller may choose another way for its joints is left to the robot of a job.
 _QUIET = re.compile(
-    r"(SetDO|Set|Reset|SetAO|PulseDO|TPWrite|TPErase|ConfL|ConfJ|SingArea|AccSet"
-    r"|WaitRob|ActUnit|Stop|StopMove|ClkReset|ClkStart|ClkStop)\b.*",
+    r"(SetDO|SetGO|SetAO|Set|Reset|PulseDO|TPWrite|TPErase|ConfL|ConfJ|SingArea"
+    r"(?=\s*\\(?:Off|Wrist)\b)|AccSet|WaitRob|Stop|ClkReset|ClkStart|ClkStop)\b.*",
     re.IGNORECASE | re.DOTALL,
 )
+_WRIST = re.compile(r"SingArea\s*\\Wrist", re.IGNORECASE)
+# Deeper than this nobody nests offsets.
+_DEEPEST = 10
 _WAIT = re.compile(rf"WaitTime\s*(?:\\InPos\s*,\s*)?({_NUMBER})", re.IGNORECASE)
 _FASTEST = 5.0
 
@@ -50,12 +66,17 @@ _FASTEST = 5.0
 class _Rapid(Reader):
     """State of the reader of RAPID."""
 
-    def __init__(self) -> None:
-        super().__init__()
+    def __init__(self, tool_axis: ToolAxis) -> None:
+        super().__init__(tool_axis=tool_axis)
         self.targets: dict[str, list[float]] = {}
         self.speeds: dict[str, float] = {"vmax": _FASTEST}
         self.numbers: dict[str, float] = {}
         self.frame: str | None = None
+        # The work object that motions name.
+        self.work_object: str | None = None
+        self.tool_data: dict[str, _Data] = {}
+        self.work_objects: dict[str, _Data] = {"wobj0": _Data(True, _NOWHERE)}
+        self.external_axes = ExternalAxes()
         self.procedures, self.has_returned = 0, False
         # Numbers of tools by name, in the order in which motions use them.
         self.tools: dict[str, int] = {}
@@ -64,20 +85,92 @@ class _Rapid(Reader):
         self.override, self.fastest = 1.0, math.inf
 
 
-def parse_rapid(text: str, *, name: str = "program.mod") -> Program:
+# Place and quaternion of a frame that is its parent.
+_NOWHERE = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+
+
+class _Data(NamedTuple):
+    """Data of a tool or a work object.
+
+    Attributes:
+        is_usual: Whether the robot holds the tool, and does not hold the work.
+        frames: Place [mm] and quaternion of one frame or of two, one in the other;
+            None where they are no numbers.
+        unit: What the work object moves with, if anything.
+    """
+
+    is_usual: bool
+    frames: tuple[float, ...] | None
+    moves_with_unit: bool = False
+
+    def pose(self) -> "_RapidPose | None":
+        """Position [mm] and rotation, None where they are no numbers."""
+        if self.frames is None:
+            return None
+        at, R = np.zeros(3), np.eye(3)
+        for first in range(0, len(self.frames), 7):
+            place, turn = self.frames[first : first + 3], self.frames[first + 3 :][:4]
+            if not any(turn):
+                return None
+            at = at + R @ np.array(place)
+            R = R @ rotation_of_quaternion(turn[0], turn[1], turn[2], turn[3])
+        return _RapidPose(at, R)
+
+
+class _RapidPose(NamedTuple):
+    """Position [mm] and rotation of a frame."""
+
+    position: Float[np.ndarray, " 3"]
+    rotation: Float[np.ndarray, "3 3"]
+
+
+def parse_rapid(
+    text: str, *, name: str = "program.mod", tool_axis: ToolAxis = "z"
+) -> Program:
     """Return the moves of a RAPID module.
+
+    Args:
+        text: The module.
+        name: Name for messages.
+        tool_axis: Axis of the controller's tool that points from the shank to the tip.
 
     Raises:
         ProgramError: If anything but plain motion is found; up to 20 faults.
     """
-    reader = _Rapid()
+    reader = _Rapid(tool_axis)
     for line, statement in _statements(split_lines(text, name)):
         _statement(statement, line, reader)
         if len(reader.faults) > SHOWN_FAULTS:
             break
     if reader.faults:
         raise ProgramError(name, reader.faults)
-    return reader.out.finish(text, name)
+    reader.note_upright_axis()
+    program = reader.out.finish(text, name)
+    if reader.work_object is not None:
+        data = reader.work_objects.get(reader.work_object)
+        pose = None if data is None else data.pose()
+        if pose is not None:
+            program = dataclasses.replace(
+                program,
+                work_position=_metres(pose.position),
+                work_rpy=rpy_of_rotation(pose.rotation),
+            )
+    sections = []
+    for part in program.sections:
+        names = [one for one, n in reader.tools.items() if part.tool in (None, n)]
+        data = reader.tool_data.get(names[0]) if names else None
+        pose = None if data is None else data.pose()
+        if pose is not None:
+            rpy = rpy_of_rotation(tool_rotation(pose.rotation, tool_axis))
+            part = part._replace(tool_position=_metres(pose.position), tool_rpy=rpy)
+        sections.append(part)
+    return dataclasses.replace(program, sections=tuple(sections))
+
+
+def _metres(position: Float[np.ndarray, " 3"]) -> Point:
+    """Return a position in m."""
+    x, y, z = (1e-3 * position).tolist()
+    return x, y, z
 
 
 def _statements(rows: list[str]):
@@ -122,11 +215,14 @@ def _statement(row: str, line: int, reader: _Rapid) -> None:
     elif (found := _ASSIGNED.fullmatch(row)) and found[1].lower() in reader.targets:
         reader.targets[found[1].lower()] = _pose(found[2], line, reader)
     elif found := _WAIT.fullmatch(row):
-        reader.out.rest(float(found[1]))
+        reader.rest(float(found[1]), row, line)
     elif found := _OVERRIDE.fullmatch(row):
         _set_override(found[1], row, line, reader)
     elif found := _QUIET.fullmatch(row):
-        reader.out.note(found[1], "changes no path", line)
+        sentence = "changes no path"
+        if _WRIST.match(row):
+            sentence = "where the wrist is straight, the controller may turn the tool"
+        reader.out.note(found[1], sentence, line)
     else:
         reader.refuse(line, row, "is no plain motion and is not supported.")
 
@@ -150,8 +246,30 @@ def _declare(found: re.Match[str], line: int, reader: _Rapid) -> None:
         reader.targets[name] = _pose(value, line, reader)
     elif kind == "speeddata":
         reader.speeds[name] = 1e-3 * _numbers(value, 4, line, reader)[0]
+    elif kind in ("tooldata", "wobjdata"):
+        _keep_data(kind, name, value, line, reader)
     elif kind in ("num", "dnum"):
         reader.numbers[name.upper()] = value_of(value, reader.numbers)
+
+
+def _keep_data(kind: str, name: str, value: str, line: int, reader: _Rapid) -> None:
+    """Keep the data of a tool or a work object: who holds it, and where it is."""
+    parts = value.replace("[", " ").replace("]", " ").upper().split(",")
+    parts = [part.strip() for part in parts]
+    first, flags = (1, 1) if kind == "tooldata" else (3, 2)
+    held, *others = parts[:flags]
+    if not {held, *others} <= {"TRUE", "FALSE"}:
+        reader.refuse(line, value, f"{kind} begins with TRUE or FALSE.")
+        return
+    numbers = parts[first : first + (7 if kind == "tooldata" else 14)]
+    try:
+        frames = tuple(float(part) for part in numbers)
+    except ValueError:
+        frames = ()
+    is_known = len(frames) in (7, 14) and all(map(math.isfinite, frames))
+    is_usual = (held == "TRUE") == (kind == "tooldata")
+    data = _Data(is_usual, frames if is_known else None, others == ["FALSE"])
+    (reader.tool_data if kind == "tooldata" else reader.work_objects)[name] = data
 
 
 def _set_component(found: re.Match[str], line: int, reader: _Rapid) -> None:
@@ -172,17 +290,21 @@ def _numbers(text: str, count: int, line: int, reader: Reader) -> list[float]:
         found = [float(part) for part in parts]
     except ValueError:
         found = []
-    if len(found) != count:
+    if len(found) != count or not all(map(math.isfinite, found)):
         reader.refuse(line, text, f"needed are {count} numbers in brackets.")
         return [0.0] * 3 + [0.0, 0.0, 1.0, 0.0] + [0.0] * (count - 7)
     return found
 
 
-def _pose(text: str, line: int, reader: _Rapid) -> list[float]:
+def _pose(text: str, line: int, reader: _Rapid, depth: int = 0) -> list[float]:
     """Return the numbers of a target: a name, numbers, or one that is moved."""
     text = text.split("\\ID")[0].strip()
     if found := _OFFSET.fullmatch(text):
-        return _moved(found, line, reader)
+        if depth < _DEEPEST:
+            return _moved(found, line, reader, depth)
+        message = f"Offs and RelTool stand in one another {_DEEPEST} times at most."
+        reader.refuse(line, text, message)
+        return [0.0] * 3 + [0.0, 1.0] + [0.0] * 12
     if text.startswith("["):
         return _numbers(text, 17, line, reader)
     values = reader.targets.get(text.replace(" ", "").lower())
@@ -193,13 +315,13 @@ def _pose(text: str, line: int, reader: _Rapid) -> list[float]:
     return values
 
 
-def _moved(found: re.Match[str], line: int, reader: _Rapid) -> list[float]:
+def _moved(found: re.Match[str], line: int, reader: _Rapid, depth: int) -> list[float]:
     """Return a target moved along the axes of the work object, or of the tool."""
     from scipy.spatial.transform import Rotation
 
     turns = [(name.lower(), value) for name, value in _TURN.findall(found[2])]
     first, *moved = split_arguments(_TURN.sub("", found[2]))
-    values = list(_pose(first, line, reader))
+    values = list(_pose(first, line, reader, depth + 1))
     way = np.array([value_of(part, reader.numbers) for part in moved if part])
     angles = {name[1]: value_of(value, reader.numbers) for name, value in turns}
     if way.shape != (3,) or not np.isfinite([*way, *angles.values()]).all():
@@ -219,10 +341,18 @@ def _moved(found: re.Match[str], line: int, reader: _Rapid) -> list[float]:
 def _target(text: str, line: int, reader: _Rapid) -> ToolPlace:
     values = _pose(text, line, reader)
     x, y, z = (1e-3 * value for value in values[:3])
-    if not any(values[3:7]):
+    if not sum(value**2 for value in values[3:7]) > 0:
         reader.refuse(line, text, "the quaternion has no length.")
         return ToolPlace((x, y, z), reader.axis)
-    return ToolPlace((x, y, z), axis_of_quaternion(*values[3:7]))
+    names = [f"external axis {number}" for number in "abcdef"]
+    axes = dict(zip(names, values[11:17], strict=True))
+    reader.external_axes.take(axes, line, reader)
+    return tool_place((x, y, z), _rotation(values[3:7]), reader.tool_axis)
+
+
+def _rotation(quaternion: list[float]) -> Float[np.ndarray, "3 3"]:
+    w, x, y, z = quaternion
+    return rotation_of_quaternion(w, x, y, z)
 
 
 def _set_override(text: str, row: str, line: int, reader: _Rapid) -> None:
@@ -258,9 +388,7 @@ def _pace(text: str, line: int, reader: _Rapid) -> float | None:
     else:
         reader.refuse(line, text, "no speeddata of this name is declared as numbers.")
         return None
-    reader.feed = min(feed * reader.override, reader.fastest)
-    if not reader.feed > 0:
-        reader.refuse(line, text, "a speed is above 0.")
+    reader.set_feed(min(feed * reader.override, reader.fastest), text, line)
     return None
 
 
@@ -300,21 +428,40 @@ def _move(kind: str, rest: str, line: int, reader: _Rapid) -> None:
         reader.out.note("MoveAbsJ", message, line)
         reader.lose_place(line)
         return
-    frame = _WORK_OBJECT.search(arguments[-1])
-    frame = "wobj0" if frame is None else frame[1].lower()
+    named = _WORK_OBJECT.search(arguments[-1])
+    frame = "wobj0" if named is None else named[1].lower()
+    if named is not None:
+        reader.work_object = frame
+    _check_held(arguments[-1], frame, line, reader)
     if reader.frame not in (None, frame):
         message = "several work objects are not supported; `work` is one of them."
         reader.refuse(line, frame, message)
     reader.frame = frame
     _take_tool(arguments[-1].split("\\")[0].strip(), line, reader)
-    point, axis = _target(arguments[-4], line, reader)
+    point, axis, tool_x = _target(arguments[-4], line, reader)
     duration = _pace(arguments[-3], line, reader)
     if kind == "movec":
         if duration is not None:
             reader.refuse(line, arguments[-3], "an arc with a time is not supported.")
-        reader.arc_to(_target(arguments[0], line, reader).tip, point, axis, line)
+        through = _target(arguments[0], line, reader).tip
+        reader.arc_to(through, point, axis, line, tool_x=tool_x)
         return
     if kind == "movej":
         reader.out.note("MoveJ", "is taken as a straight rapid move", line)
     is_rapid = kind == "movej"
-    reader.line_to(point, axis, line, is_rapid=is_rapid, duration=duration)
+    reader.line_to(
+        point, axis, line, is_rapid=is_rapid, duration=duration, tool_x=tool_x
+    )
+
+
+def _check_held(tool: str, frame: str, line: int, reader: _Rapid) -> None:
+    """Refuse a robot that holds the work, and note work that a unit could move."""
+    name = tool.split("\\")[0].strip()
+    data = reader.tool_data.get(name.lower(), _Data(True, None))
+    work = reader.work_objects.get(frame, _Data(True, None))
+    if not (data.is_usual and work.is_usual):
+        message = "a tool that stands while the robot holds the work is not supported."
+        reader.refuse(line, name if not data.is_usual else frame, message)
+    if work.moves_with_unit:
+        sentence = "moves with a mechanical unit, which is taken to stand still"
+        reader.out.note(frame, sentence, line)

@@ -5,10 +5,15 @@ from dataclasses import dataclass, field
 
 from ....toolpath import Move, Point
 from ..faults import Fault
-from ..geometry import circle_through, rotated
+from ..geometry import ToolAxis, circle_through, controller_matrix, rotated
 from ..move_list import MoveList
 
 _FARTHEST = 100.0
+# No milling robot has such a feed [m/s] or rest [s].
+_FASTEST, _LONGEST_REST = 5.0, 60.0
+# Height of a unit axis from tip to shank that lies flat, and of one from shank to tip
+# that leans from -z by less than 45 degrees.
+_FLAT, _STEEP = 0.17, -0.7
 
 
 @dataclass
@@ -18,6 +23,8 @@ class Reader:
     Attributes:
         position: Tool tip [m], and whether a motion has brought it there.
         axis: Tool axis, tip to shank.
+        tool_x: X of the tool; None where the program states none.
+        tool_axis: Axis of the controller's tool that points from the shank to the tip.
         feed: Feed [m/s], or None before the first.
     """
 
@@ -25,12 +32,63 @@ class Reader:
     faults: list[Fault] = field(default_factory=list)
     position: Point = (0.0, 0.0, 0.0)
     axis: Point = (0.0, 0.0, 1.0)
+    tool_x: Point | None = None
+    tool_axis: ToolAxis = "z"
     is_placed: bool = False
     feed: float | None = None
 
     def refuse(self, line: int, word: str, message: str) -> None:
         """Report a fault."""
-        self.faults.append(Fault(line, " ".join(word.split())[:40], message))
+        # What a terminal would obey is shown as an escape.
+        found = " ".join(word.split())[:40]
+        plain = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in found)
+        self.faults.append(Fault(line, plain, message))
+
+    def set_feed(self, feed: float, word: str, line: int) -> None:
+        """Set the feed [m/s], which is above 0."""
+        if not 0 < feed < math.inf:
+            message = "a speed is above 0, in numbers or declared ones with + - * /."
+            self.refuse(line, word, message)
+        elif feed > _FASTEST:
+            sentence = f"is {feed:g} m/s, more than {_FASTEST:g} m/s: see to its unit"
+            self.out.note(word, sentence, line)
+        self.feed = feed
+
+    def rest(self, seconds: float, word: str, line: int) -> None:
+        """Let the tool stay where it is."""
+        if not 0 <= seconds < math.inf:
+            self.refuse(line, word, "a rest is 0 s or longer.")
+            return
+        if seconds > _LONGEST_REST:
+            sentence = f"rests for {seconds:g} s, which is more than a minute"
+            self.out.note(word, sentence, line)
+        self.out.rest(seconds)
+
+    def note_upright_axis(self) -> None:
+        """Note the axis of the tool along which the cutter would stand upright.
+
+        It is said where the cutter lies flat or points up in a cut.
+        """
+        cuts = [move for move in self.out.moves if not move.is_rapid]
+        if not cuts or min(move.axis[2] for move in cuts) > _FLAT:
+            return
+        turned = [controller_matrix(move, self.tool_axis)[2] for move in cuts]
+        # Largest z of a direction from the shank to the tip, by its name.
+        highest = {
+            f"{sign}{name}": max(
+                (-row[place] if sign else row[place]) for row in turned
+            )
+            for place, name in enumerate("xyz")
+            for sign in ("", "-")
+        }
+        best = min(highest, key=lambda name: float(highest[name]))
+        if best != self.tool_axis and highest[best] < _STEEP:
+            low = min(cuts, key=lambda move: move.axis[2])
+            sentence = (
+                f"the cutter, along {self.tool_axis} of the tool, does not stand "
+                f'upright; along {best} it would: [program] tool_axis = "{best}"'
+            )
+            self.out.note("tool axis", sentence, low.line)
 
     def lose_place(self, line: int) -> None:
         """Forget where the tool is, as after a motion of joints."""
@@ -46,6 +104,7 @@ class Reader:
         *,
         is_rapid: bool = False,
         duration: float | None = None,
+        tool_x: Point | None = None,
     ) -> None:
         """Make a straight move; from an unknown place it is an approach."""
         is_rapid |= not self.is_placed
@@ -53,8 +112,10 @@ class Reader:
         self._check(end, line)
         move = Move(self.position, end, feed=feed, is_rapid=is_rapid, line=line)
         duration = None if is_rapid else duration
-        self.out.add(move._replace(duration=duration, axis=axis), "XYZ")
-        self.position, self.axis, self.is_placed = end, axis, True
+        move = move._replace(duration=duration, axis=axis, tool_x=tool_x)
+        self.out.add(move, "XYZ")
+        self.position, self.axis, self.tool_x = end, axis, tool_x
+        self.is_placed = True
 
     def arc_to(
         self,
@@ -65,6 +126,7 @@ class Reader:
         *,
         angle: float | None = None,
         duration: float | None = None,
+        tool_x: Point | None = None,
     ) -> None:
         """Make an arc through a point, to another one or over an angle [rad]."""
         try:
@@ -86,8 +148,8 @@ class Reader:
         self._check(end, line)
         feed = self._feed(line, duration)
         move = Move(self.position, end, centre, turns, feed, duration, line=line)
-        self.out.add(move._replace(normal=normal, axis=axis), "")
-        self.position, self.axis = end, axis
+        self.out.add(move._replace(normal=normal, axis=axis, tool_x=tool_x), "")
+        self.position, self.axis, self.tool_x = end, axis, tool_x
 
     def _feed(self, line: int, duration: float | None) -> float | None:
         """Return the feed of a motion that has no duration of its own."""

@@ -2,15 +2,17 @@
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from ....toolpath import Move, Point, Program
 from ..geometry import (
-    abc_of_axis,
+    ToolAxis,
+    abc_of_rotation,
     arc_parts,
     arc_points,
+    controller_matrix,
     program_moves,
-    quaternion_of_axis,
+    quaternion_of_rotation,
     straight_pieces,
 )
 
@@ -25,11 +27,14 @@ def write_krl(
     header: Sequence[str] = (),
     tolerance: float = 1e-6,
     is_spline: bool = False,
+    tool_axis: ToolAxis = "z",
 ) -> str:
     """Return a program as KRL.
 
     Moves with a duration become a SPLINE block whose TIME_BLOCKs state it. Positions
-    are in the base that is in force, which is `work`, of the tool's tip.
+    are in the base that is in force, which is `work`, of the tool's tip. Where the
+    program leaves the rotation about the tool axis open, x of the tool is as near to x
+    of `work` as it can be.
 
     Args:
         program: The program.
@@ -37,10 +42,13 @@ def write_krl(
         tolerance: How far the pieces of a helix may lie beside it [m].
         is_spline: Whether moves with a duration are points of a cubic spline (SPL)
             instead of straight (SLIN).
+        tool_axis: Axis of the controller's tool that points from the shank to the tip.
     """
     name = re.sub(r"\W", "_", program.name.split(".")[0])[:24] or "part"
     lines = ["&ACCESS RVP", f"DEF {name if name[0].isalpha() else 'p' + name}( )"]
-    lines += [f";{' '.join(text.split())}" for text in (*header, _reminder(program))]
+    texts = (*header, _reminder(program, tool_axis))
+    lines += [f";{' '.join(text.split())}" for text in texts]
+    frame = _frames(program, tool_axis)
     feed, timed = None, []
     moves = _placed(program, tolerance)
     for index, move in enumerate(moves):
@@ -48,24 +56,24 @@ def write_krl(
         if move.duration is not None and goes:
             timed.append(move)
             if move.rest:
-                lines += [*_time_blocks(timed, is_spline), _krl_rest(move.rest)]
+                lines += [*_time_blocks(timed, is_spline, frame), _krl_rest(move.rest)]
                 timed = []
             continue
-        lines += _time_blocks(timed, is_spline)
+        lines += _time_blocks(timed, is_spline, frame)
         timed = []
         if move.feed is not None and move.feed != feed:
             feed = move.feed
             lines.append(f"$VEL.CP={feed:.9g}")
         if move.centre is not None:
-            middle, end = _halves(move)
-            lines.append(f"CIRC {_frame(middle, move.axis)},{_frame(end, move.axis)}")
+            middle = frame(move._replace(end=_middle(move)))
+            lines.append(f"CIRC {middle},{frame(move)}")
         elif index == 0 or goes:
             word = "PTP" if move.is_rapid else "LIN"
-            lines.append(f"{word} {_frame(move.end, move.axis)}")
+            lines.append(f"{word} {frame(move)}")
         rest = move.rest or (move.duration or 0.0)
         if rest:
             lines.append(_krl_rest(rest))
-    return "\n".join([*lines, *_time_blocks(timed, is_spline), "END"]) + "\n"
+    return "\n".join([*lines, *_time_blocks(timed, is_spline, frame), "END"]) + "\n"
 
 
 def _krl_rest(seconds: float) -> str:
@@ -73,22 +81,27 @@ def _krl_rest(seconds: float) -> str:
     return f"WAIT SEC {seconds:.9g}"
 
 
-def _reminder(program: Program) -> str:
+def _reminder(program: Program, tool_axis: ToolAxis) -> str:
     """Return what the user has to see to before the file runs on a robot."""
     speed = program.spindle_speed
     spindle = "" if speed is None else f" at {speed * 30 / math.pi:g} rpm"
     return (
         "motion only: before it runs, see to the base (zero of the workpiece), the "
-        f"tool (its tip, z up the shank), the way there, and the spindle{spindle}"
+        f"tool (its tip, {tool_axis} of it pointing from the shank to the tip), the "
+        f"way there, and the spindle{spindle}"
     )
 
 
 def write_rapid(
-    program: Program, *, header: Sequence[str] = (), tolerance: float = 1e-6
+    program: Program,
+    *,
+    header: Sequence[str] = (),
+    tolerance: float = 1e-6,
+    tool_axis: ToolAxis = "z",
 ) -> str:
     """Return a program as a module of RAPID; arguments as `write_krl`."""
     lines = ["MODULE part", "  PROC main()"]
-    texts = (*header, _reminder(program))
+    texts = (*header, _reminder(program, tool_axis))
     lines += [f"    ! {' '.join(text.split())}" for text in texts]
     moves = _placed(program, tolerance)
     for index, move in enumerate(moves):
@@ -100,9 +113,9 @@ def write_rapid(
             speed = f"v1000\\T:={move.duration:.9g}"
         elif move.feed is not None:
             speed = f"v1000\\V:={move.feed * 1e3:.9g}"
-        end = _target(move.end, move.axis)
+        end = _target(move, tool_axis)
         if move.centre is not None:
-            middle, end = (_target(point, move.axis) for point in _halves(move))
+            middle = _target(move._replace(end=_middle(move)), tool_axis)
             lines.append(f"    MoveC {middle},{end},{speed},{zone},tool0;")
         elif index == 0 or goes:
             word = "MoveJ" if move.is_rapid else "MoveL"
@@ -123,10 +136,10 @@ def write_apt(
     lines += [f"PPRINT/{text}" for text in texts]
     if program.spindle_speed is not None:
         lines.append(f"SPINDL/{program.spindle_speed * 30 / math.pi:.9g},RPM,CLW")
-    feed, axis = None, None
+    feed, before = None, None
     for move in program_moves(program):
-        pieces = straight_pieces(move, tolerance, start_axis=axis)
-        axis = move.axis
+        pieces = straight_pieces(move, tolerance, before=before)
+        before = move
         for piece in pieces:
             speed = piece.feed
             if piece.duration and _goes(piece):
@@ -148,27 +161,27 @@ def write_apt(
 
 def _placed(program: Program, tolerance: float) -> list[Move]:
     """Return the moves, arcs that no circle statement can make in pieces."""
-    out, axis = [], None
+    out, before = [], None
     for move in program_moves(program):
         is_flat = abs(move.rise) < _FLAT and abs(move.radii[0] - move.radii[1]) < _FLAT
         if move.centre is None:
             out.append(move)
         elif not is_flat or move.duration is not None:
-            out.extend(straight_pieces(move, tolerance, start_axis=axis))
+            out.extend(straight_pieces(move, tolerance, before=before))
         else:
             # A circle statement makes less than half a turn.
             count = max(1, math.ceil(abs(move.sweep) / _LARGEST_ARC))
             sign = 1 if move.turn > 0 else -1
-            parts = arc_parts(move, count, start_axis=axis)
+            parts = arc_parts(move, count, before=before)
             out.extend(part._replace(turn=sign) for part in parts)
-        axis = move.axis
+        before = move
     return out
 
 
-def _halves(move: Move) -> tuple[Point, Point]:
-    """Return the middle and the end of an arc."""
+def _middle(move: Move) -> Point:
+    """Return the middle of an arc."""
     x, y, z = arc_points(move, 2)[0].tolist()
-    return (x, y, z), move.end
+    return x, y, z
 
 
 def _goes(move: Move) -> bool:
@@ -177,16 +190,17 @@ def _goes(move: Move) -> bool:
 
 
 def _turns(moves: Sequence[Move], index: int) -> bool:
-    """Return whether a move leads to another axis, as it is written, than before."""
-    if index == 0 or moves[index].axis == moves[index - 1].axis:
+    """Return whether a move leads to another orientation, as written, than before."""
+    one, other = moves[index], moves[index - 1] if index else moves[index]
+    if (one.axis, one.tool_x) == (other.axis, other.tool_x):
         return False
-    before, after = (
-        _frame(moves[index].end, moves[k].axis) for k in (index - 1, index)
-    )
+    before, after = (_target(move._replace(end=one.end), "z") for move in (other, one))
     return before != after
 
 
-def _time_blocks(moves: list[Move], is_spline: bool) -> list[str]:
+def _time_blocks(
+    moves: list[Move], is_spline: bool, frame: Callable[[Move], str]
+) -> list[str]:
     """Return moves with durations as a SPLINE block."""
     if not moves:
         return []
@@ -194,24 +208,36 @@ def _time_blocks(moves: list[Move], is_spline: bool) -> list[str]:
     word = "SPL" if is_spline else "SLIN"
     lines = ["SPLINE", "TIME_BLOCK START"]
     for move in moves:
-        lines.append(f"{word} {_frame(move.end, move.axis)}")
+        lines.append(f"{word} {frame(move)}")
         if move is not moves[-1]:
             share = 100 * (move.duration or 0.0) / total
             lines.append(f"TIME_BLOCK PART={share:.12g}")
     return [*lines, f"TIME_BLOCK END={total:.12g}", "ENDSPLINE"]
 
 
-def _frame(point: Point, axis: Point) -> str:
-    """Return a position of KRL."""
-    values = [1e3 * value for value in point] + list(abc_of_axis(axis))
-    pairs = zip("XYZABC", values, strict=True)
-    return "{" + ",".join(f"{name} {_short(value)}" for name, value in pairs) + "}"
+def _frames(program: Program, tool_axis: ToolAxis) -> Callable[[Move], str]:
+    """Return what writes a position of KRL.
+
+    Of the triples of angles for an orientation it takes that next to the one before,
+    from the first of the program that was read on.
+    """
+    angles = program.first_angles or (0.0, 0.0, 0.0)
+
+    def frame(move: Move) -> str:
+        nonlocal angles
+        angles = abc_of_rotation(controller_matrix(move, tool_axis), angles)
+        values = [*(1e3 * value for value in move.end), *angles]
+        pairs = zip("XYZABC", values, strict=True)
+        return "{" + ",".join(f"{name} {_short(value)}" for name, value in pairs) + "}"
+
+    return frame
 
 
-def _target(point: Point, axis: Point) -> str:
+def _target(move: Move, tool_axis: ToolAxis) -> str:
     """Return a robtarget of RAPID."""
-    place = ",".join(_short(1e3 * value) for value in point)
-    turn = ",".join(_short(value, 9) for value in quaternion_of_axis(axis))
+    place = ",".join(_short(1e3 * value) for value in move.end)
+    quaternion = quaternion_of_rotation(controller_matrix(move, tool_axis))
+    turn = ",".join(_short(value, 9) for value in quaternion)
     return f"[[{place}],[{turn}],[0,0,0,0],[9E9,9E9,9E9,9E9,9E9,9E9]]"
 
 

@@ -1,0 +1,211 @@
+"""What a robot program says of bases, tools, held work and axes beside the arm."""
+
+import math
+
+import pytest
+
+from diffmill.io import ProgramError, read_program
+from diffmill.toolpath import Program
+
+H = "PTP {X 0,Y 0,Z 0,A 0,B 0,C 180}"
+TARGET = "[[{},0,0],[0,1,0,0],[0,0,0,0],[{},9E9,9E9,9E9,9E9,9E9]]"
+
+
+@pytest.fixture
+def read(tmp_path):
+    def read_text(text, suffix=".src"):
+        (tmp_path / f"part{suffix}").write_text(text)
+        program = read_program(tmp_path / f"part{suffix}")
+        assert isinstance(program, Program)
+        return program
+
+    return read_text
+
+
+def krl(*rows):
+    return "\n".join(["DEF part( )", "$VEL.CP=0.05", *rows, "END"])
+
+
+def rapid(*moves, data=""):
+    return f"MODULE m\n{data}PROC main()\n{''.join(moves)}ENDPROC\nENDMODULE\n"
+
+
+def move(x, *, axis="9E9", tool="mill", work="\\WObj:=part"):
+    return f"MoveL {TARGET.format(x, axis)},v50,z0,{tool}{work};\n"
+
+
+def faults(read, text, suffix=".src"):
+    with pytest.raises(ProgramError) as caught:
+        read(text, suffix)
+    return [(fault.line, fault.word) for fault in caught.value.faults]
+
+
+def test_external_axes_of_krl_stand_still_or_are_refused(read):
+    at = "{{X {},Y 0,Z 0,A 0,B 0,C 180,E1 {},E2 0}}"
+    rows = [f"PTP {at.format(0, 5)}", f"LIN {at.format(9, 5)}", "LIN {X 12}"]
+    notes = read(krl(*rows)).notes
+    assert any("external axes: stand still" in note for note in notes)
+    assert not any("external" in note for note in read(krl(H, "LIN {X 9}")).notes)
+    moved = [*rows, f"LIN {at.format(20, 6)}"]
+    assert faults(read, krl(*moved)) == [(6, "E1")]
+    # A motion of joints moves them too, and a position without them leaves them there.
+    home = "PTP {A1 0,A2 -90,A3 90,A4 0,A5 0,A6 0,E1 7}"
+    assert faults(read, krl(*rows, home, H)) == [(7, "E1")]
+    assert faults(read, krl(*rows, "LIN_REL {E1 3}"))[0][0] == 6
+
+
+def test_a_base_on_a_table_that_turns_is_refused(read):
+    table = "$BASE=EK(MACHINE_DEF[2].ROOT,MACHINE_DEF[2].MECH_TYPE,{X 0,Y 0,Z 0})"
+    assert [line for line, _ in faults(read, krl(table, H, "LIN {X 9}"))] == [3]
+
+
+def test_external_axes_of_rapid_stand_still_or_are_refused(read):
+    program = read(rapid(move(0, axis="30"), move(9, axis="30")), ".mod")
+    assert any("external axes: stand still" in note for note in program.notes)
+    unused = read(rapid(move(0), move(9)), ".mod")
+    assert not any("external" in note for note in unused.notes)
+    moved = rapid(move(0, axis="30"), move(9, axis="31"))
+    assert faults(read, moved, ".mod") == [(4, "external axis a")]
+
+
+MILL = "PERS tooldata mill:=[{},[[0,10,250],[0,0,1,0]],[8,[0,0,90],[1,0,0,0],0,0,0]];\n"
+WORK = 'PERS wobjdata part:=[{},{},"{}",[[1000,0,500],[1,0,0,0]],[[0,0,20],{}]];\n'
+NO_TURN, QUARTER = "[1,0,0,0]", "[0.7071068,0,0,0.7071068]"
+
+
+def test_a_robot_that_holds_the_work_is_refused(read):
+    moves = move(0), move(9)
+    data = MILL.format("FALSE") + WORK.format("FALSE", "TRUE", "", NO_TURN)
+    assert faults(read, rapid(*moves, data=data), ".mod")[0] == (5, "mill")
+    data = MILL.format("TRUE") + WORK.format("TRUE", "TRUE", "", NO_TURN)
+    assert faults(read, rapid(*moves, data=data), ".mod")[0] == (5, "part")
+    # What a motion does not use may be as it is.
+    other = rapid(*(move(x, tool="tool0", work="") for x in (0, 9)), data=data)
+    assert read(other, ".mod").moves
+
+
+def test_tool_and_work_object_of_rapid_are_stated(read):
+    data = MILL.format("TRUE") + WORK.format("FALSE", "FALSE", "STN1", QUARTER)
+    program = read(rapid(move(0), move(9), data=data), ".mod")
+    assert program.work_position == pytest.approx((1.0, 0.0, 0.52))
+    assert program.work_rpy == pytest.approx((0, 0, math.pi / 2), abs=1e-6)
+    (part,) = program.sections
+    assert part.tool_position == pytest.approx((0.0, 0.01, 0.25))
+    # Half a turn about y, and ours about x: half a turn about z.
+    assert part.tool_rpy == pytest.approx((0, 0, math.pi), abs=1e-6)
+    assert any("moves with a mechanical unit" in note for note in program.notes)
+
+
+def test_base_and_tool_of_krl_are_stated(read):
+    frames = "$BASE={X 800,Y 0,Z 100,A 90,B 0,C 0}", "$TOOL={X 0,Y 0,Z 250,A 0,B 0,C 0}"
+    program = read(krl(*frames, H, "LIN {X 9}"))
+    assert program.work_position == pytest.approx((0.8, 0.0, 0.1))
+    assert program.work_rpy == pytest.approx((0, 0, math.pi / 2))
+    (part,) = program.sections
+    assert part.tool_position == pytest.approx((0, 0, 0.25))
+    # Its z points out of the flange, ours up the shank.
+    assert abs(part.tool_rpy[0]) == pytest.approx(math.pi)
+    named = read(krl("$BASE=BASE_DATA[2]", "$TOOL=TOOL_DATA[5]", H, "LIN {X 9}"))
+    assert named.work_position is None and named.sections[0].tool_position is None
+    for name in ("BASE_DATA[2]", "TOOL_DATA[5]"):
+        assert f"line 5: {name}: its numbers are not in the program" in named.notes
+
+
+def test_a_base_that_comes_late_is_another_base(read):
+    base = "$BASE={X 100,Y 0,Z 0,A 0,B 0,C 0}"
+    assert faults(read, krl(H, "LIN {X 9}", base, "LIN {X 20}")) == [(5, "base")]
+    assert read(krl(base, H, "LIN {X 9}", base, "LIN {X 20}")).moves
+
+
+def test_a_tool_of_krl_is_known_by_its_value(read):
+    one, two = (f"$TOOL={{X 0,Y 0,Z {z},A 0,B 0,C 0}}" for z in (150, 250))
+    work = [H, "LIN {X 9}"]
+    program = read(krl(one, *work, two, *work, one, *work))
+    assert program.tools == (1, 2)
+    assert [part.tool for part in program.sections] == [1, 2, 1]
+    heights = [part.tool_position[2] for part in program.sections]
+    assert heights == pytest.approx([0.15, 0.25, 0.15])
+    assert read(krl(one, *work, one.replace("150", "150.0"), *work)).tools == (None,)
+
+
+@pytest.mark.parametrize(
+    "row",
+    [
+        "CHANGE_TOOL( )",
+        "ASYPTP {E1 90}",
+        "BAS (#EX_BASE,2)",
+        "$ROBROOT={X 0,Y 0,Z 100,A 0,B 0,C 0}",
+        "SLIN {X 9} WITH $EX_AX_IGNORE='B0001'",
+    ],
+)
+def test_what_may_change_tool_place_or_arm_is_refused(read, row):
+    assert [line for line, _ in faults(read, krl(H, row, "LIN {X 12}"))] == [4]
+
+
+@pytest.mark.parametrize("row", ["ActUnit STN1;", "EOffsSet e1;", "PDispOn p1,tool0;"])
+def test_units_and_offsets_of_rapid_are_refused(read, row):
+    assert [line for line, _ in faults(read, rapid(row, move(0), move(9)), ".mod")] == [
+        3
+    ]
+
+
+def test_first_lines_of_posts_are_read(read):
+    rows = [
+        "PDAT_ACT = {VEL 15,ACC 100,APO_DIST 50}",
+        "BAS (#PTP_DAT )",
+        "FDAT_ACT = {TOOL_NO 1,BASE_NO 1,IPO_FRAME #BASE}",
+        "BAS (#FRAMES )",
+        "PTP $AXIS_ACT ; skip BCO quickly",
+        "LDAT_ACT = {VEL 0.05,ACC 100,APO_DIST 10}",
+        "PTP $H_POS",
+    ]
+    program = read(krl(*rows, H, "LIN {X 9}"))
+    assert program.tools == (1,) and program.path_length == pytest.approx(9e-3)
+    # Where the arm is, the motion stays: place and section are as before.
+    stays = read(krl(H, "PTP $POS_ACT", "LIN {X 9}"))
+    assert len(stays.sections) == 1 and len(stays.moves) == 2
+
+
+@pytest.mark.parametrize("name", ["PART.SRC", "Part.Src"])
+@pytest.mark.parametrize("data", ["PART.DAT", "part.dat"])
+def test_suffixes_may_have_capitals(tmp_path, name, data):
+    (tmp_path / name).write_text("DEF part( )\n$VEL.CP=0.1\nPTP P1\nLIN {X 9}\nEND")
+    (tmp_path / data).write_text("DECL E6POS P1={X 1,Y 2,Z 3,A 0,B 0,C 180}\n")
+    program = read_program(tmp_path / name)
+    assert isinstance(program, Program)
+    assert program.moves[0].end == pytest.approx((1e-3, 2e-3, 3e-3))
+
+
+@pytest.mark.parametrize(
+    ("rows", "line"),
+    [
+        ((H, "WAIT SEC -1", "LIN {X 9}"), 4),
+        (("$VEL.CP=1E400", H, "LIN {X 9}"), 3),
+        ((H, f"LIN {{X 9,Y 0,Z 0,A {'1' * 400},B 0,C 180}}"), 4),
+        ((H, "LIN {X 9,Y 0,Z 0,A 1E300,B 0,C 180}"), 4),
+    ],
+)
+def test_numbers_of_krl_are_bounded(read, rows, line):
+    assert [at for at, _ in faults(read, krl(*rows))] == [line]
+
+
+def test_offsets_of_rapid_nest_ten_times_at_most(read):
+    def nested(depth):
+        place = f"{'Offs(' * depth}{TARGET.format(0, '9E9')}{',1,0,0)' * depth}"
+        return rapid(f"MoveL {place},v50,z0,mill;\n", move(90, work=""))
+
+    assert read(nested(10), ".mod").moves[0].end[0] == pytest.approx(10e-3)
+    for depth in (11, 1000):
+        assert [at for at, _ in faults(read, nested(depth), ".mod")] == [3]
+
+
+def test_a_feed_or_a_rest_that_no_cell_has_is_noted(read):
+    notes = read(krl("$VEL.CP=50", H, "LIN {X 9}", "WAIT SEC 2000")).notes
+    assert any("line 3: $VEL.CP=50: is 50 m/s" in note for note in notes)
+    assert any("WAIT SEC 2000: rests for 2000 s" in note for note in notes)
+
+
+def test_control_characters_of_a_program_do_not_reach_the_terminal(read):
+    with pytest.raises(ProgramError) as caught:
+        read("DEF a( )\nLIN {X 1}\x1b[2J\x1b]0;owned\nEND")
+    assert "\x1b" not in str(caught.value) and "\\x1b[2J" in str(caught.value)
