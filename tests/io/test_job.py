@@ -213,13 +213,16 @@ def test_a_tool_that_leans_a_little_is_not_upright(write, degrees):
     assert io.write_gcode(job.path) and io.write_program(job.path, ".ngc")
 
 
-@pytest.mark.parametrize("key", ["tool_tilt", "bottom_edges"])
-def test_switches_of_the_process(write, key):
+@pytest.mark.parametrize(
+    ("key", "value"), [("tool_tilt", "true"), ("bottom_edges", "false")]
+)
+def test_switches_of_the_process(write, key, value):
     plain = load_job(write()).simulation
-    assert plain.axes == () and not plain.has_bottom
-    job = load_job(write(("[robot]", f"[simulation]\n{key} = true\n[robot]")))
+    # The machine is rigid.
+    assert plain.axes == () and plain.has_bottom
+    job = load_job(write(("[robot]", f"[simulation]\n{key} = {value}\n[robot]")))
     assert bool(job.simulation.axes) == (key == "tool_tilt")
-    assert job.simulation.has_bottom == (key == "bottom_edges")
+    assert job.simulation.has_bottom == (key != "bottom_edges")
 
 
 def test_speed_from_the_program(write):

@@ -1,5 +1,6 @@
 """Reading a job: every fault of the file and what it refers to, in one error."""
 
+import dataclasses
 import math
 import os
 import pathlib
@@ -33,6 +34,7 @@ from ._build.program import (
 from ._build.robot import pose_matrix, read_robot
 from ._build.stock import StockPlan, read_stock
 from ._changes import changed, changes_text
+from ._check.end_force import end_notes
 from ._check.frames import base_note, program_base, tool_note
 from ._check.modes import (
     LONGEST_SUBSTEP,
@@ -168,6 +170,7 @@ class _Parts(NamedTuple):
         timed: The program with the speed at every place of it; None for a recorded
             path.
         commanded: Tips that the controller is told instead of the path's, if any.
+        joints: Joints of the robot along the path [rad or m], if they are known.
     """
 
     program: Program | Path | None
@@ -184,6 +187,7 @@ class _Parts(NamedTuple):
     modes: TipModes | None = None
     timed: TimedProgram | None = None
     commanded: FloatRows3 | None = None
+    joints: Float[np.ndarray, "step joint"] | None = None
 
     @property
     def tooth_period(self) -> float:
@@ -320,6 +324,7 @@ def _follow(tables: JobTables, parts: _Parts, context: FileContext) -> _Parts:
         parts, q = _slowed(parts, checks, q, ramp, context._replace(notes=[]))
         if parts.path is None:
             return parts
+    parts = parts._replace(joints=q)
     if not np.isfinite(np.asarray(robot.joint_stiffness)).all():
         return parts
     poses = np.asarray(q)[[0, len(q) // 2, -1]]
@@ -450,7 +455,7 @@ def _assemble(
     assert force is not None and block is not None
     assert correction is not None and output is not None
     law, bottom_law = force.laws()
-    return Job(
+    job = Job(
         name=name,
         cutter=cutter,
         law=law,
@@ -486,6 +491,8 @@ def _assemble(
         timing=None if parts.timed is None else parts.timed.timing,
         commanded=parts.commanded,
     )
+    more = end_notes(job, parts.joints)
+    return dataclasses.replace(job, notes=(*job.notes, *more))
 
 
 def _is_free(table: RobotTable | None) -> bool:
@@ -511,11 +518,17 @@ def _simulation(
     if path is not None and stock is not None:
         deepest = immersion(path, cutter, stock) + _ROOM
     _check_simulation(tables, cutter, deepest, problems)
-    if table.bottom_edges and cutter.has_dish and (axes or not cutter.is_plain):
+    is_unknown = cutter.has_dish and (bool(axes) or not cutter.is_plain)
+    if table.bottom_edges and is_unknown:
         problems.append(
             "[simulation] bottom_edges: found true, but with dish_angle they are known "
             "only of a tool that stands upright, with even pitch and without run-out"
         )
+    has_bottom = table.bottom_edges
+    if has_bottom is None:
+        # A flat end on a machine that swings would be pressed onto every floor.
+        is_rigid = robot is not None and robot.rigid
+        has_bottom = (is_rigid or cutter.has_dish) and not is_unknown
     if parts.modes is not None and parts.controller is not None and axes:
         problems.append(
             "[controller]: found beside [machine] and a tool that tilts, but it is "
@@ -559,7 +572,7 @@ def _simulation(
         precision=table.precision,
         is_gravity_compensated=table.gravity_compensated,
         plunges=Immersion.is_plunging(path.positions, float(stock.upper[2])),
-        has_bottom=table.bottom_edges,
+        has_bottom=has_bottom,
         axes=axes,
         chip=table.chip,
         integrator=table.integrator,

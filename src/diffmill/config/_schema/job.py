@@ -380,10 +380,11 @@ class SimulationTable(TomlTable):
     tool_tilt: StrictBool = Field(
         default=False, description="true: the bending arm also tilts the tool (slower)"
     )
-    bottom_edges: StrictBool = Field(
-        default=False,
-        description="true: bottom edges cut where the tool descends, so that plunges "
-        "push along the axis",
+    bottom_edges: StrictBool | None = Field(
+        default=None,
+        description="whether bottom edges cut where the tool descends, so that plunges "
+        "push along the axis; if left out they do of a rigid machine and of an end "
+        "with a dish_angle",
     )
     integrator: Literal["midpoint", "rk4"] = Field(
         default="midpoint",

@@ -187,6 +187,10 @@ def simulate_process(
 ) -> Run:
     """Cut along a path, one row per tooth period.
 
+    Bottom edges cut where the path descends in material, as in a job of a rigid
+    machine; one that swings, with a flat end, has them on request alone, since a swing
+    down presses a flat end onto the floor.
+
     Args:
         positions: Tool tip in `work` at the tooth instants [m], shape (step, 3).
         stock: The raw workpiece.
@@ -217,7 +221,10 @@ def simulate_process(
             has coefficients for another number of teeth, or a point cloud is asked for
             where there is none.
 
-    Differentiability: as `run`. With "point_cloud" derivatives exist but are hard: they
+    Differentiability: as `run`. Under a flat end (`dish_angle` 0) a level path is a
+    kink in z: the edges begin to push with the square of the descent, and push in full
+    from 1 % on, some micrometres per tooth. A hollow end has no such kink. With
+    "point_cloud" derivatives exist but are hard: they
     follow the rays that hold the extreme points between the jumps from ray to ray, and
     under `ThroughPoses` ends that earlier poses cut are constants.
     """
