@@ -3,7 +3,8 @@
 Removal lags behind the tool by a travelled distance of at least sqrt(R d), the
 distance at which the freshly cut surface has left the smoothing band; the history
 that spans it is a queue of fixed length whose entries are a minimum distance apart,
-so that a slow or dwelling tool cannot fill it.
+so that a slow or dwelling tool cannot fill it. Only where the tool turns or comes to
+rest, so that what it cuts there no other pose cuts, a pose comes in sooner.
 """
 
 import math
@@ -30,8 +31,16 @@ from ._engagement.leading_half import STILL
 from ._state import ProcessState, Removed, Waiting
 from ._stock_derivatives import AbstractAdjoint
 
-# Entries of the history; with the lag this sets the least distance between entries.
-QUEUE_LENGTH = 48
+# Entries of the history along a straight path: the lag is so many least distances.
+_ALONG = 48
+# Further entries where the tool turns or comes to rest: one that trembles fills these.
+_AT_TURNS = 16
+QUEUE_LENGTH = _ALONG + _AT_TURNS
+# Cosine of the turn, 0.3 rad, from which on a pose comes in: within the least distance
+# a path that turns by less bulges by an eighth of this, 1 um for a cutter of 10 mm.
+_TURNED = math.cos(0.3)
+# After a shorter way no pose comes in [m]: so much of a corner may stay uncut.
+_LEAST_WAY = 5e-7
 # Earlier circles, as shares of the lag, beyond the exact ones of the last teeth.
 _THINNED = (0.25, 0.5, 0.75, 1.0)
 # Rows of the track that removal looks back on at most: what waits longer is removed.
@@ -85,7 +94,13 @@ class RemovalHistory(NamedTuple):
         """
         cutter, dtype = self.cutter, stock.origin.dtype
         nodes = max((pose_count - 1) * self.substeps + 1, self._pass_length())
-        ahead = jnp.zeros(2, dtype).at[1].set(1)
+        waiting = Waiting(
+            row=jnp.zeros(QUEUE_LENGTH, jnp.int32),
+            forward=jnp.zeros((QUEUE_LENGTH, 2), dtype).at[:, 1].set(1),
+            passing=jnp.zeros(QUEUE_LENGTH, dtype),
+            heading=jnp.zeros((QUEUE_LENGTH, 3), dtype),
+            travel=jnp.zeros(QUEUE_LENGTH, dtype),
+        )
         families = tuple(rays.numbered() for rays in stock.families)
         return ProcessState(
             stock=eqx.tree_at(lambda s: s.families, stock, families),
@@ -93,16 +108,10 @@ class RemovalHistory(NamedTuple):
             last_tip=pose.tip,
             recent=pose.repeated(cutter.flute_count, self.substeps),
             ends=pose.repeated(self.substeps),
-            forward=ahead,
+            newest=waiting[0],
             passing=jnp.zeros((), dtype),
-            queue=Waiting(
-                row=jnp.zeros(QUEUE_LENGTH, jnp.int32),
-                forward=jnp.broadcast_to(ahead[None], (QUEUE_LENGTH, 2)),
-                passing=jnp.zeros(QUEUE_LENGTH, dtype),
-                travel=jnp.zeros(QUEUE_LENGTH, dtype),
-            ),
+            queue=waiting,
             queue_count=jnp.ones((), jnp.int32),
-            travel=jnp.zeros((), dtype),
             slots=stock.slots_in_use(),
             has_overflow=jnp.zeros((), bool),
             is_beyond=jnp.zeros((), bool),
@@ -148,67 +157,82 @@ class RemovalHistory(NamedTuple):
         frozen = jax.lax.stop_gradient
         # Reading the track before it is written would make XLA copy it in every step.
         motion = frozen(pose.tip - state.last_tip)
-        travel = state.travel + safe_norm(motion)
         track = tracked(state, index, pose)
-        newest = state.queue.travel[state.queue_count - 1]
-        is_far = travel - newest >= self.lag / QUEUE_LENGTH
-        at = jnp.where(is_far, state.queue_count, QUEUE_LENGTH)
-        ahead = self._ahead(state, index, frozen(pose), motion)
+        newest, passing = self._newest(state, index, frozen(pose), motion)
+        count, last = state.queue_count, state.queue[state.queue_count - 1]
+        way = newest.travel - last.travel
+        gap = self.lag / _ALONG
+        behind = newest.travel - state.queue.travel[0]
+        has_room = count.astype(way.dtype) < _AT_TURNS + behind / gap
+        is_apart = (way >= _LEAST_WAY) & has_room & (count < QUEUE_LENGTH - 1)
+        # What the tool cut in a corner tells only the way on: the pose before is due.
+        cosine = jnp.sum(newest.heading * last.heading)
+        has_turned = cosine < _TURNED * jnp.sum(last.heading**2)
+        is_corner = has_turned & is_apart & (state.newest.row > last.row)
+        step = safe_norm(motion)
+        way = jnp.where(is_corner, step, way)
+        is_due = (way >= gap) | ((step <= STILL) & is_apart & ~is_corner)
+        numbers = jnp.stack([count, count + is_corner.astype(jnp.int32)])
+        at = jnp.where(jnp.stack([is_corner, is_due]), numbers, QUEUE_LENGTH)
         queue = jax.tree.map(
-            lambda queue, new: queue.at[at].set(new, mode="drop"),
+            lambda queue, *new: queue.at[at].set(jnp.stack(new), mode="drop"),
             state.queue,
-            Waiting(index, ahead.forward, ahead.passing + ahead.late, travel),
+            state.newest,
+            newest,
         )
         return eqx.tree_at(
             lambda s: (
                 s.track,
                 s.last_tip,
-                s.forward,
+                s.newest,
                 s.passing,
                 s.queue,
                 s.queue_count,
-                s.travel,
             ),
             state,
             (
                 track,
                 pose.tip,
-                ahead.forward,
-                ahead.passing,
+                newest,
+                passing,
                 queue,
-                state.queue_count + is_far.astype(jnp.int32),
-                travel,
+                numbers[1] + is_due.astype(jnp.int32),
             ),
         )
 
-    def _ahead(
+    def _newest(
         self,
         state: ProcessState,
         index: Int[Array, ""],
         pose: Pose,
         motion: Float[Array, " 3"],
-    ) -> "_Ahead":
-        """Return where the tool goes, and when teeth look there.
+    ) -> tuple[Waiting, Float[Array, ""]]:
+        """Return the pass of the newest pose, and when an even tooth looks forward.
 
         Which of the teeth it is follows the direction without a jump, so that where
         the direction trembles no tooth is left out.
         """
         cutter, frame = self.cutter, Pose.frame(pose.direction())
         x, y = jnp.sum(motion * frame[:, 0]), jnp.sum(motion * frame[:, 1])
-        length = jnp.sqrt(x**2 + y**2)
-        is_moving = length > STILL
-        scale = jnp.where(is_moving, length, 1.0)
-        forward = jnp.where(is_moving, jnp.stack([x, y]) / scale, state.forward)
+        along, length = jnp.sqrt(x**2 + y**2), safe_norm(motion)
+        is_moving = along > STILL
+        scale = jnp.where(is_moving, along, 1.0)
+        forward = jnp.where(is_moving, jnp.stack([x, y]) / scale, state.newest.forward)
+        heading = jnp.where(
+            length > STILL, motion / jnp.maximum(length, STILL), state.newest.heading
+        )
         count = cutter.flute_count
         turn = jnp.arctan2(forward[0], forward[1]) * (count / (2 * math.pi))
         passing = turn + jnp.round(state.passing - turn)
         is_beside = (passing < -0.5) | (passing >= 1.5)
         passing = jnp.where(is_beside, passing - jnp.floor(passing), passing)
-        if cutter.has_even_pitch:
-            return _Ahead(forward, passing, jnp.zeros_like(passing))
-        early = early_teeth(cutter, pose.tip.dtype)
-        tooth = jnp.mod(1 - index - jnp.round(passing - turn).astype(jnp.int32), count)
-        return _Ahead(forward, passing, -early[tooth] * (count / (2 * math.pi)))
+        late = jnp.zeros_like(passing)
+        if not cutter.has_even_pitch:
+            early = early_teeth(cutter, pose.tip.dtype)
+            tooth = 1 - index - jnp.round(passing - turn).astype(jnp.int32)
+            late = -early[jnp.mod(tooth, count)] * (count / (2 * math.pi))
+        travel = state.newest.travel + length
+        return Waiting(index, forward, passing + late, heading, travel), passing
 
     def _remove_lagged(
         self,
@@ -226,7 +250,7 @@ class RemovalHistory(NamedTuple):
         """
         oldest = state.queue[:_REMOVALS]
         passes = [self._tooth_pass(state, oldest[i], index) for i in range(_REMOVALS)]
-        age = state.travel - oldest.travel
+        age = state.newest.travel - oldest.travel
         places = jnp.arange(_REMOVALS, dtype=jnp.int32)
         is_over = index - oldest.row >= self._wait()
         is_full = state.queue_count >= QUEUE_LENGTH
@@ -238,7 +262,7 @@ class RemovalHistory(NamedTuple):
         apart = jnp.max(jnp.abs(tips[1] - tips[0]))
         is_due = is_due.at[1].set(is_due[0] & is_due[1] & (apart <= self.window.slack))
         # Removed here, too, since a removal of its own would take long to compile.
-        stands = (state.travel <= 0) & (places == 0)
+        stands = (state.newest.travel <= 0) & (places == 0)
         cut = self.window.remove_passes(
             state.stock,
             self.cutter,
@@ -279,7 +303,7 @@ class RemovalHistory(NamedTuple):
     def thinned_rows(self, state: ProcessState) -> Int[Array, " circle"]:
         """Return the indices of the thinned poses, those at tooth instants."""
         slots = jnp.arange(QUEUE_LENGTH, dtype=jnp.int32)
-        age = state.travel - state.queue.travel
+        age = state.newest.travel - state.queue.travel
         picks = []
         for share in _THINNED:
             is_old = (age >= share * self.lag) & (slots < state.queue_count)
@@ -312,7 +336,11 @@ class RemovalHistory(NamedTuple):
         # After the last pose the tool stands there while its teeth go around.
         rest = jnp.arange(1 + self._wait(), dtype=jnp.int32)
         last = jax.vmap(
-            lambda row: Waiting(row, state.forward, state.passing, state.travel)
+            lambda row: eqx.tree_at(
+                lambda each: (each.row, each.passing),
+                state.newest,
+                (row, state.passing),
+            )
         )(index + rest)
         rows = jax.tree.map(
             lambda queue, new: jnp.concatenate([queue, new]), state.queue, last
@@ -416,20 +444,6 @@ class RemovalHistory(NamedTuple):
         turns = 0.5 + self._helix_turns()
         # One for the period itself, and a half that the tooth may look forward later.
         return math.ceil(turns * self.cutter.flute_count + 1.5)
-
-
-class _Ahead(NamedTuple):
-    """Where the tool goes, and when teeth look there.
-
-    Attributes:
-        forward: Direction of motion along tool x and y, shape (2,).
-        passing: When an even tooth looks there, in tooth periods, shape ().
-        late: By how much our tooth is later, shape ().
-    """
-
-    forward: Float[Array, " 2"]
-    passing: Float[Array, ""]
-    late: Float[Array, ""]
 
 
 def tracked(state: ProcessState, index: Int[Array, ""], pose: Pose) -> PoseTrack:

@@ -16,12 +16,15 @@ class Waiting(eqx.Module):
         forward: Direction of motion along tool x and y, shape (queue, 2).
         passing: When the tooth looks forward, in tooth periods from pose k - 1, shape
             (queue,).
+        heading: Direction of motion in `work`, that of the last motion where the tool
+            rests; zero before the first, shape (queue, 3).
         travel: Distance travelled when the pass came in [m], shape (queue,).
     """
 
     row: Int[Array, "*queue"]
     forward: Float[Array, "*queue 2"]
     passing: Float[Array, "*queue"]
+    heading: Float[Array, "*queue 3"]
     travel: Float[Array, "*queue"]
 
     def __getitem__(self, item: object) -> "Waiting":
@@ -40,12 +43,11 @@ class ProcessState(eqx.Module):
             first, shape (tooth, substep, 3).
         ends: Poses at the ends of the sub-steps of the last period, which are not in
             the track yet, shape (substep, 3).
-        forward: Direction of motion along tool x and y, shape (2,).
+        newest: The pass of the newest pose, whether or not it waits.
         passing: When in the last period a tooth looked forward, in tooth periods; may
             be half a period beside it, so that it does not jump, shape ().
         queue: What waits for removal.
         queue_count: Number of entries, shape ().
-        travel: Distance travelled so far [m], shape ().
         slots: How many slots of each family of rays hold anything, shape (3,).
         has_overflow: Whether a ray ran out of slots, shape ().
         is_beyond: Whether the tool reached beyond its window, shape ().
@@ -56,11 +58,10 @@ class ProcessState(eqx.Module):
     last_tip: Float[Array, " 3"]
     recent: Pose
     ends: Pose
-    forward: Float[Array, " 2"]
+    newest: Waiting
     passing: Float[Array, ""]
     queue: Waiting
     queue_count: Int[Array, ""]
-    travel: Float[Array, ""]
     slots: Int[Array, " 3"]
     has_overflow: Bool[Array, ""]
     is_beyond: Bool[Array, ""]

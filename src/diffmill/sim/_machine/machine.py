@@ -591,7 +591,7 @@ def _moved(
 ) -> ProcessState:
     """Return the state with another track, in which its rows stand further on."""
     return eqx.tree_at(
-        lambda s: (s.track, s.queue.row),
+        lambda s: (s.track, s.queue.row, s.newest.row),
         process,
-        (track, process.queue.row + rows),
+        (track, process.queue.row + rows, process.newest.row + rows),
     )
