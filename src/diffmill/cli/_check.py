@@ -187,7 +187,7 @@ def _describe_program(file: pathlib.Path, program: "Program") -> list[str]:
     kind = PROGRAM_FORMATS[file.suffix.lower()]
     lines = [f"{file}: {kind}, everything in it is supported"]
     if len(program.tools) == 1:
-        lines += _describe_moves(program)
+        lines += _describe_moves(program.of_tool())
     else:
         for tool in program.tools:
             lines.append(f"  tool {'not named' if tool is None else f'T{tool}'}:")
@@ -218,8 +218,8 @@ def _describe_moves(program: "Program") -> list[str]:
         lines.append(
             f"  inverse time: {len(inverse)} moves in {math.fsum(inverse):.3f} s"
         )
-    points = [m.start for m in moves] + [m.end for m in moves]
-    return [*lines, *_extents(np.array(points))] if moves else lines
+    bounds = [point for move in moves for point in move.bounds]
+    return [*lines, *_extents(np.array(bounds))] if moves else lines
 
 
 def _kind(move: "Move") -> str:
@@ -245,6 +245,7 @@ def _describe_path(file: pathlib.Path, path: "Path") -> list[str]:
         f"  rows: {path.step_count} in {time[-1] - time[0]:.3f} s, of which "
         f"{int(np.sum(path.is_rapid))} rapid",
         *_extents(np.asarray(path.positions)),
+        *(f"  note: {note}" for note in path.notes),
     ]
 
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 from ...toolpath import Path, Program, sample_program
 from .._path_csv import read_path_csv, write_path_csv
+from .dialects import recognised
 from .faults import Fault, ProgramError
 from .robots.apt import parse_apt
 from .robots.krl import parse_krl
@@ -57,6 +58,19 @@ def read_program(
         )
         raise ProgramError(str(path), [fault])
     text = read_text(path)
+    try:
+        return _parsed(text, path, setup)
+    except ProgramError as error:
+        # One fault says more than the many of a program of another kind.
+        fault = recognised(text, suffix, is_gcode=suffix in GCODE)
+        if fault is None:
+            raise
+        raise ProgramError(path.name, [fault]) from error
+
+
+def _parsed(text: str, path: pathlib.Path, setup: ProgramSetup) -> Program:
+    """Return the program of a text in the language of its suffix."""
+    suffix = path.suffix.lower()
     if suffix in KRL:
         beside = path.with_suffix(".dat")
         data = read_text(beside) if beside.is_file() else ""

@@ -16,6 +16,7 @@ from ....toolpath import Point, Program
 from ..expressions import split_arguments, value_of
 from ..faults import SHOWN_FAULTS, ProgramError
 from ..geometry import ToolPlace, axis_of_abc, rotation_of_abc
+from ..limits import LARGEST_NUMBER, bounded_number, fault_of_statement
 from ..text import split_lines
 from .krl_frames import KrlFrames, numbered_base
 from .reader import Reader
@@ -111,10 +112,13 @@ def parse_krl(text: str, data: str = "", *, name: str = "program.src") -> Progra
         ProgramError: If anything but plain motion is found; up to 20 faults.
     """
     reader = _Krl()
+    reader.out.name = name
     for number, row in enumerate(split_lines(data, name), 1):
         bare = _bare(row)
         # Other data of inline forms hold names and are of no motion.
-        if found := _FRAME_DATA.fullmatch(bare):
+        if message := fault_of_statement(bare):
+            reader.refuse(number, bare, message)
+        elif found := _FRAME_DATA.fullmatch(bare):
             reader.base_and_tool.declare(found[1], found[2])
         elif found := _DECLARED.fullmatch(bare):
             reader.frames[found[1].upper()] = _components(found[2], number, reader)
@@ -128,9 +132,7 @@ def parse_krl(text: str, data: str = "", *, name: str = "program.src") -> Progra
             _statement(bare, number, reader)
         if len(reader.faults) > SHOWN_FAULTS:
             break
-    if reader.faults:
-        raise ProgramError(name, reader.faults)
-    return reader.out.finish(text, name)
+    return reader.out.finish(text)
 
 
 def _bare(row: str) -> str:
@@ -153,14 +155,20 @@ def _components(text: str, line: int, reader: Reader) -> dict[str, float]:
         if match is None:
             reader.refuse(line, part, "a component is a name and a number.")
             return {}
-        found[match[1].upper()] = float(match[2])
+        value = bounded_number(match[2])
+        if math.isnan(value):
+            reader.refuse(line, part, f"a number is {LARGEST_NUMBER:g} at most.")
+            return {}
+        found[match[1].upper()] = value
     return found
 
 
 def _statement(row: str, line: int, reader: _Krl) -> None:
     """Carry out one statement."""
     word = row.split()[0].split("(")[0].upper()
-    if word in ("DEF", "GLOBAL") and "DEF" in row.upper():
+    if message := fault_of_statement(row):
+        reader.refuse(line, row, message)
+    elif word in ("DEF", "GLOBAL") and "DEF" in row.upper():
         if reader.out.moves:
             reader.refuse(line, row, "one DEF per file is read; write calls out.")
     elif word == "END":
@@ -182,7 +190,7 @@ def _statement(row: str, line: int, reader: _Krl) -> None:
     elif found := _TIME.fullmatch(row):
         _time_block(found, line, reader)
     elif found := _WAIT.fullmatch(row):
-        reader.out.rest(float(found[1]))
+        reader.out.rest(float(found[1]), line)
     elif found := _MOTION.fullmatch(row):
         _motion(found[1].upper(), found[3], line, reader, is_relative=bool(found[2]))
     elif (found := _SCALAR.fullmatch(row)) and _set_scalar(found, line, reader):
@@ -330,7 +338,7 @@ def _motion(
         reader.spline[-1].through = _place(middle).tip
         reader.spline[-1].feed = reader.feed
     elif kind in ("CIRC", "SCIRC"):
-        angle = None if turn is None else math.radians(float(turn[1]))
+        angle = None if turn is None else math.radians(bounded_number(turn[1]))
         reader.arc_to(_place(middle).tip, point, axis, line, angle=angle)
         x, y, z = (1e3 * value for value in reader.position)
         reader.values |= {"X": x, "Y": y, "Z": z}
@@ -374,7 +382,7 @@ def _time_block(found: re.Match[str], line: int, reader: _Krl) -> None:
     if reader.spline is None:
         reader.refuse(line, found[0], "TIME_BLOCK stands in a SPLINE block.")
     elif found[2] is not None and reader.spline:
-        reader.spline[-1].share = float(found[2])
+        reader.spline[-1].share = bounded_number(found[2])
     elif found[3] is not None and reader.spline:
         shares = [knot.share for knot in reader.spline]
         if math.isnan(shares[-1]) and len(shares) > 1:
@@ -386,7 +394,7 @@ def _time_block(found: re.Match[str], line: int, reader: _Krl) -> None:
             reader.refuse(line, found[0], message)
             return
         for knot, share in zip(reader.spline, shares, strict=True):
-            knot.share = float(found[3]) * share / sum(shares)
+            knot.share = bounded_number(found[3]) * share / sum(shares)
 
 
 def _spline(word: str, row: str, line: int, reader: _Krl) -> None:

@@ -12,8 +12,9 @@ import numpy as np
 
 from ....toolpath import Program
 from ..expressions import split_arguments, value_of
-from ..faults import SHOWN_FAULTS, ProgramError
+from ..faults import SHOWN_FAULTS
 from ..geometry import ToolPlace, axis_of_quaternion
+from ..limits import bounded_number, fault_of_statement
 from ..text import split_lines
 from .reader import Reader
 
@@ -45,6 +46,8 @@ _QUIET = re.compile(
 )
 _WAIT = re.compile(rf"WaitTime\s*(?:\\InPos\s*,\s*)?({_NUMBER})", re.IGNORECASE)
 _FASTEST = 5.0
+# A controller wants a length of 1.
+_LEAST_QUATERNION = 1e-3
 
 
 class _Rapid(Reader):
@@ -71,13 +74,12 @@ def parse_rapid(text: str, *, name: str = "program.mod") -> Program:
         ProgramError: If anything but plain motion is found; up to 20 faults.
     """
     reader = _Rapid()
+    reader.out.name = name
     for line, statement in _statements(split_lines(text, name)):
         _statement(statement, line, reader)
         if len(reader.faults) > SHOWN_FAULTS:
             break
-    if reader.faults:
-        raise ProgramError(name, reader.faults)
-    return reader.out.finish(text, name)
+    return reader.out.finish(text)
 
 
 def _statements(rows: list[str]):
@@ -105,7 +107,9 @@ def _statement(row: str, line: int, reader: _Rapid) -> None:
     """Carry out one statement."""
     if not row:
         return
-    if _FRAME.fullmatch(row):
+    if message := fault_of_statement(row):
+        reader.refuse(line, row, message)
+    elif _FRAME.fullmatch(row):
         reader.procedures += row.upper().startswith("PROC")
         if reader.procedures > 1:
             reader.refuse(line, row, "one PROC per module is read; write calls out.")
@@ -122,7 +126,7 @@ def _statement(row: str, line: int, reader: _Rapid) -> None:
     elif (found := _ASSIGNED.fullmatch(row)) and found[1].lower() in reader.targets:
         reader.targets[found[1].lower()] = _pose(found[2], line, reader)
     elif found := _WAIT.fullmatch(row):
-        reader.out.rest(float(found[1]))
+        reader.out.rest(float(found[1]), line)
     elif found := _OVERRIDE.fullmatch(row):
         _set_override(found[1], row, line, reader)
     elif found := _QUIET.fullmatch(row):
@@ -168,11 +172,8 @@ def _set_component(found: re.Match[str], line: int, reader: _Rapid) -> None:
 def _numbers(text: str, count: int, line: int, reader: Reader) -> list[float]:
     """Return the numbers of nested lists, brackets aside."""
     parts = text.replace("[", " ").replace("]", " ").split(",")
-    try:
-        found = [float(part) for part in parts]
-    except ValueError:
-        found = []
-    if len(found) != count:
+    found = [bounded_number(part) for part in parts]
+    if len(found) != count or any(map(math.isnan, found)):
         reader.refuse(line, text, f"needed are {count} numbers in brackets.")
         return [0.0] * 3 + [0.0, 0.0, 1.0, 0.0] + [0.0] * (count - 7)
     return found
@@ -205,7 +206,8 @@ def _moved(found: re.Match[str], line: int, reader: _Rapid) -> list[float]:
     if way.shape != (3,) or not np.isfinite([*way, *angles.values()]).all():
         reader.refuse(line, found[0], "needed are a robtarget and 3 numbers.")
         return values
-    if found[1].lower() == "offs" or not any(values[3:7]):
+    is_turned = math.hypot(*values[3:7]) >= _LEAST_QUATERNION
+    if found[1].lower() == "offs" or not is_turned:
         return [*(np.array(values[:3]) + way), *values[3:]]
     w, x, y, z = values[3:7]
     pose = Rotation.from_quat([x, y, z, w])
@@ -219,7 +221,7 @@ def _moved(found: re.Match[str], line: int, reader: _Rapid) -> list[float]:
 def _target(text: str, line: int, reader: _Rapid) -> ToolPlace:
     values = _pose(text, line, reader)
     x, y, z = (1e-3 * value for value in values[:3])
-    if not any(values[3:7]):
+    if math.hypot(*values[3:7]) < _LEAST_QUATERNION:
         reader.refuse(line, text, "the quaternion has no length.")
         return ToolPlace((x, y, z), reader.axis)
     return ToolPlace((x, y, z), axis_of_quaternion(*values[3:7]))

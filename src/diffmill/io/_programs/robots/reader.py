@@ -8,12 +8,10 @@ from ..faults import Fault
 from ..geometry import circle_through, rotated
 from ..move_list import MoveList
 
-_FARTHEST = 100.0
-
 
 @dataclass
 class Reader:
-    """Where the tool is while a program is read, the moves and the faults so far.
+    """Where the tool is while a program is read, and the moves so far.
 
     Attributes:
         position: Tool tip [m], and whether a motion has brought it there.
@@ -22,11 +20,15 @@ class Reader:
     """
 
     out: MoveList = field(default_factory=MoveList)
-    faults: list[Fault] = field(default_factory=list)
     position: Point = (0.0, 0.0, 0.0)
     axis: Point = (0.0, 0.0, 1.0)
     is_placed: bool = False
     feed: float | None = None
+
+    @property
+    def faults(self) -> list[Fault]:
+        """The faults so far."""
+        return self.out.faults
 
     def refuse(self, line: int, word: str, message: str) -> None:
         """Report a fault."""
@@ -50,7 +52,6 @@ class Reader:
         """Make a straight move; from an unknown place it is an approach."""
         is_rapid |= not self.is_placed
         feed = None if is_rapid else self._feed(line, duration)
-        self._check(end, line)
         move = Move(self.position, end, feed=feed, is_rapid=is_rapid, line=line)
         duration = None if is_rapid else duration
         self.out.add(move._replace(duration=duration, axis=axis), "XYZ")
@@ -76,14 +77,13 @@ class Reader:
             self.refuse(line, "", "an arc needs a motion to a stated place before it.")
         turns = 1
         if angle is not None:
-            if angle == 0:
+            if angle == 0 or math.isnan(angle):
                 self.refuse(line, "", "an arc has an angle other than 0.")
                 return
             if angle < 0:
                 normal = (-normal[0], -normal[1], -normal[2])
             end = rotated(self.position, centre, normal, abs(angle))
             turns = max(1, math.ceil(abs(angle) / (2 * math.pi) - 1e-9))
-        self._check(end, line)
         feed = self._feed(line, duration)
         move = Move(self.position, end, centre, turns, feed, duration, line=line)
         self.out.add(move._replace(normal=normal, axis=axis), "")
@@ -96,8 +96,3 @@ class Reader:
         if self.feed is None:
             self.refuse(line, "", "there is no speed; needed is one before this line.")
         return self.feed
-
-    def _check(self, end: Point, line: int) -> None:
-        """Report a place that is too far away."""
-        if not all(abs(value) <= _FARTHEST for value in end):
-            self.refuse(line, "", f"a position is {_FARTHEST:g} m at most.")
