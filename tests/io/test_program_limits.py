@@ -13,6 +13,7 @@ from diffmill.io import (
     read_program,
     write_program,
 )
+from diffmill.toolpath import Program
 
 # Processor time for a refusal [s].
 QUICK = 3.0
@@ -171,6 +172,7 @@ DIGITS = "1" * 400
         (".mod", f"MoveL {TARGET.format(5).replace('0,1,0,0', '0,1E-200,0,0', 1)},v50,"
          "fine,tool0;", "no length"),
         (".apt", "DELAY/-1", "a rest of -1 s"),
+        (".apt", "CYCLE/DRILL,RAPTO,1,FEDTO,2,DWELL,-2\\nGOTO/1,1,1", "a rest of -2 s"),
         (".apt", "GOTO/1E400,0,0", "3 numbers up to 1e+10"),
         (".apt", "GOTO/1E6,0,0", "a position at x = 1000 m"),
         (".apt", "CIRCLE/150000,0,5,0,0,1,150000\nGOTO/0,0,5", "x = 150 m"),
@@ -197,7 +199,9 @@ def test_ten_brackets_are_not_too_deep(tmp_path):
     file = tmp_path / "part.mod"
     offset = "Offs(" * 8 + TARGET.format(0) + ",1,0,0)" * 8
     file.write_text(MODULE % f"MoveL {offset},v50,fine,tool0;")
-    assert read_program(file).moves[1].end == pytest.approx((8e-3, 0, 1e-3))
+    program = read_program(file)
+    assert isinstance(program, Program)
+    assert program.moves[1].end == pytest.approx((8e-3, 0, 1e-3))
 
 
 @pytest.mark.parametrize(

@@ -53,8 +53,10 @@ def test_bounds_of_a_move_are_those_of_its_points():
         turned = math.cos(angle) * spoke + math.sin(angle) * np.cross(normal, spoke)
         rise = rng.choice([0.0, rng.uniform(-3, 3)]) * normal
         start, end = centre + spoke, centre + turned + rise
-        points = (tuple(map(float, row)) for row in (start, end, centre))
-        move = Move(*points, turn, normal=tuple(map(float, normal)))
+        first, last, middle, axis = (
+            (float(x), float(y), float(z)) for x, y, z in (start, end, centre, normal)
+        )
+        move = Move(first, last, middle, turn, normal=axis)
         sampled = move.points_at(share)
         assert sampled[-1] == pytest.approx(end, abs=1e-9)
         low, high = move.bounds

@@ -422,7 +422,7 @@ def _drill(
         reader.line_to(at(clear - depth), axis, line, is_rapid=True)
     reader.line_to(at(-cycle["FEDTO"]), axis, line)
     if cycle.get("DWELL"):
-        reader.out.rest(cycle["DWELL"])
+        reader.out.rest(cycle["DWELL"], line)
     reader.line_to(at(above), axis, line, is_rapid=True)
     reader.feed = feed
 
