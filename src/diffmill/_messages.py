@@ -19,6 +19,16 @@ def shown(faults: Sequence[str], most: int = 50) -> list[str]:
     return lines
 
 
+def printable(text: str) -> str:
+    """Text for a terminal, which does not obey the control characters in it."""
+    return "".join(
+        letter
+        if letter.isprintable() or letter in "\n\t"
+        else letter.encode("unicode_escape").decode("ascii")
+        for letter in text
+    )
+
+
 def _shortened(line: str) -> str:
     if len(line) <= _LONGEST:
         return line

@@ -202,7 +202,15 @@ def test_any_arc_is_recovered(radius, start, sweep, turn, use_radius):
         ("G0 X1e3", 1, "e3", "E is not supported"),
         ("G0 X1 \u00b5", 1, "\u00b5", "no word starts"),
         ("G0 X1 (open", 1, "(open", "not closed"),
-        ("G0 X1 (a (b)", 1, "(a (b)", "must not contain"),
+        ("G0 X1 (a (b)", 1, "(a (b)", "not closed"),
+        ("G0 X1 (a) b)", 1, ")", "no comment"),
+        ("G80\nG80 X1", 2, "X1", "G80 moves nothing"),
+        ("F1 G81 X1 Z-1 R1 P2", 1, "P2", "P belongs to no code"),
+        ("F1 G82 X1 Z-1 R1 P2\nX2 Q3", 2, "Q3", "Q belongs to no code"),
+        ("F1 G83 X1 Z-1 R1 Q1 P2", 1, "P2", "P belongs to no code"),
+        ("G5.1 Q1\nG0 X1", 1, "G5.1", "G5.1 Q0"),
+        ("G0 X1\nG50 S2000", 2, "G50", "without X, Y, Z and S"),
+        ("G0 X1\nG50 X2", 2, "G50", "without X, Y, Z and S"),
         ("G0 X1 )", 1, ")", "no comment"),
         ("G0 X1 X2", 1, "X2", "only one X"),
         ("G0 G1 X2 F1", 1, "G1", "only one code for motion"),
@@ -258,10 +266,10 @@ def test_arc_tolerances_are_those_of_linuxcnc():
 
 
 def test_all_faults_are_reported_without_echoes():
-    found = faults("G15\nG2 X1 Z1 I1 F5\nG17 G28\nG1 X3\nG62\nG1 X#1 F[2*3]\nX9")
+    found = faults("G16\nG2 X1 Z1 I1 F5\nG17 G38.2\nG1 X3\nG62\nG1 X#1 F[2*3]\nX9")
     assert [(fault.line, fault.word) for fault in found] == [
-        (1, "G15"),
-        (3, "G28"),
+        (1, "G16"),
+        (3, "G38.2"),
         (5, "G62"),
         (6, "X#1F[2*3]"),
     ]

@@ -139,7 +139,10 @@ def test_g92_moves_the_zero_and_not_the_tool():
 
 def test_machine_positions_need_the_zero_of_the_machine():
     text = "G0 X1 Y1 Z1\nG91 G28 Z0\nG90 G53 G0 X-5\n"
-    assert faults(text) == [(2, "G28"), (3, "G53")]
+    assert faults(text.replace("G90 G53 G0", "G90 F9 G53 G1")) == [
+        (3, "G53"),
+        (3, "G1"),
+    ]
     setup = {
         "machine_zero": (0.0, 0.0, 0.5),
         "reference_points": ((0.0, 0.0, -0.01), (0.0, 0.0, 0.0)),
@@ -149,6 +152,112 @@ def test_machine_positions_need_the_zero_of_the_machine():
         ("r", 1, 1, 490),
         ("r", -5, 1, 490),
     ]
+
+
+HOME = """G53 G0 Z0.
+T1 M6
+G0 X0. Y0.
+G43 Z15. H1
+G1 Z-1. F300
+X50.
+G0 Z15.
+G91 G28 Z0.
+G90
+T2 M6
+G0 X5. Y0.
+G43 Z15. H2
+G1 Z-2.
+G0 Z15.
+G28 G91 Z0 X0 Y0
+G90 G0 X100.
+M30
+"""
+
+
+def test_ways_home_before_and_after_the_cuts_of_a_tool_are_left_out():
+    program = parse_gcode(HOME)
+    assert program.tools == (1, 2)
+    for tool, ends in ((1, [-1, -1, 15]), (2, [-2, 15])):
+        moves = program.of_tool(tool).timed_moves
+        assert [move.end[2] / MM for move in moves] == pytest.approx(ends)
+        # It begins where the program first states the whole place.
+        assert moves[0].start == pytest.approx(
+            ((5 if tool == 2 else 0) * MM, 0, 15 * MM)
+        )
+    notes = "\n".join(program.notes)
+    assert "line 1: G53: goes to a place of the machine" in notes
+    assert "lines 8, 15: G28: goes to a place of the machine" in notes
+    assert "line 16: a rapid move: leads to a place that is not stated" in notes
+
+
+def test_a_way_home_between_two_cuts():
+    text = "G0 X0 Y0 Z5\nG1 Z-1 F60\n{}G53 G0 Z0\nG0 X9 Y9\nZ5\nG1 Z-1\n"
+    # From above the part a straight way leads to where the place is known again.
+    program = parse_gcode(text.format("G0 Z5\n")).of_tool()
+    assert [move.end[0] / MM for move in program.timed_moves] == [0, 0, 9, 9]
+    # Out of a cut it would lead through the part.
+    assert faults(text.format("")) == [(3, "G53")]
+    # A place that is not stated again is no place to cut from.
+    lost = "G0 X0 Y0 Z5\nG53 G0 Z0\nG0 X9\n{}"
+    for code in ("G1 X5 F60", "G81 X1 Z-1 R1 F60", "G92 Z0", "G28.1", "G10 L20 P1 Z0"):
+        assert faults(lost.format(code))[0] == (4, code.split()[0])
+    assert len(motion(lost.format("G91 G0 Z1\nG90 Z2\nG1 X5 F60"))) == 5
+
+
+def test_codes_that_end_what_is_off_are_noted():
+    text = (
+        "G15 G40.1 G50 G69 G50.1 G13.1 G67\nG5.1 Q0\nG187 P2 E0.01\nG0 X1\nG1 X2 F60\n"
+    )
+    program = parse_gcode(text)
+    assert [move.end[0] / MM for move in program.moves] == [1, 2]
+    noted = " ".join(program.notes)
+    for word in ("G15", "G40.1", "G50", "G69", "G50.1", "G13.1", "G67", "G5.1"):
+        assert f": {word}: ends what is off here anyway" in noted
+    assert "G187: corners are as" in noted
+
+
+@pytest.mark.parametrize(
+    ("words", "plane"), [("I.5 K0", "G17"), ("K.5 J0.", "G18"), ("J.5 I-0", "G19")]
+)
+def test_the_centre_across_the_plane_may_be_zero(words, plane):
+    end = {"G17": "X1", "G18": "Z1", "G19": "Y1"}[plane]
+    program = parse_gcode(f"{plane} F60\nG2 {end} {words}\n")
+    assert abs(program.moves[0].sweep) == pytest.approx(math.pi)
+    assert "0 changes nothing" in program.notes[0]
+
+
+def test_the_motion_before_a_cycle_goes_on_behind_it():
+    text = "G0 X0 Y0 Z5\n{}\nG81 X1 Z-1 R1 F60\nX2\nG80\nX4\nY1"
+    for code, is_rapid in (("G0 X0", True), ("G1 X0 F60", False)):
+        program = parse_gcode(text.format(code))
+        assert [move.is_rapid for move in program.moves[-2:]] == [is_rapid] * 2
+        assert program.moves[-1].end == pytest.approx((4 * MM, 1 * MM, 1 * MM))
+        word = code.split()[0]
+        assert f"line 6: G80: {word} goes on behind it" in " ".join(program.notes)
+    # An arc would need its centre; without a motion before there is none.
+    assert faults(text.format("G2 I1 F60")) == [(6, "X4"), (7, "Y1")]
+    assert faults("G80\nX4") == [(2, "X4")]
+
+
+@pytest.mark.parametrize(
+    ("text", "part"),
+    [
+        ("G0 X10 Y5\nG3 X0 Y15 I0 J5 F60", "I and J fit as an absolute centre"),
+        ("G18 G0 X10 Z5\nG2 X0 Z15 I0 K5 F60", "I and K fit as an absolute centre"),
+        ("G90.1 G0 X10 Y5\nG3 X0 Y15 I-10 J0 F60", "fit as measured from its start"),
+        ("G20 G92 X3 Y0\nG0 X10 Y5\nG3 X0 Y15 I0 J5 F6", "absolute centre"),
+    ],
+)
+def test_a_centre_of_the_other_kind_is_named(text, part):
+    with pytest.raises(ProgramError) as caught:
+        parse_gcode(text)
+    assert part in caught.value.faults[0].message
+
+
+def test_a_centre_that_fits_in_no_way_is_not_named():
+    with pytest.raises(ProgramError) as caught:
+        parse_gcode("G0 X9\nG2 X7 Y1 I5 J3 F1")
+    assert "fit as" not in caught.value.faults[0].message
 
 
 def test_tool_lengths():

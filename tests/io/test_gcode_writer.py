@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from diffmill.io import parse_gcode, program_frame, write_gcode
+from diffmill.io import parse_gcode, program_frame, write_gcode, write_program
 from diffmill.toolpath import Path, sample_program
 
 LIMITS = {"acceleration": 2.0, "rapid_feed": 0.2, "corner_tolerance": 1e-4}
@@ -167,3 +167,25 @@ def test_a_corrected_program_keeps_tool_and_length_however_they_are_said(said, k
 def test_of_another_format_nothing_is_kept():
     frame = program_frame("&ACCESS RVP\nDEF part( )\n;T1 M6\nPTP {X 0}\nEND\n", [4])
     assert (frame.comments, frame.opening, frame.between) == ((), (), ())
+
+
+def test_no_number_is_written_with_an_exponent():
+    text = "(tiny)\nT1 M6\nG43.1 Z0.000002\nS0.00002 M3\nG0 X0.000001 Y0 Z0\n"
+    text += "G1 X1 F0.00001\nG4 P0.00001\nX2 F200000\nG93 X3 F0.0001\n"
+    program = parse_gcode(text)
+    frame = program_frame(text, [move.line for move in program.moves])
+    written = write_program(program, ".ngc", frame=frame)
+    assert "G4 P0.00001\n" in written
+    assert "G43.1 Z0.000002\n" in written
+    assert not [row for row in written.splitlines() if "e" in row.lower()]
+    back = parse_gcode(written)
+    assert [move.rest for move in back.moves if move.rest] == [1e-5]
+    assert back.moves[-2].feed == pytest.approx(200 / 60)
+    assert back.spindle_speed == pytest.approx(program.spindle_speed)
+
+
+def test_comments_keep_their_brackets_and_lose_control_characters():
+    text = "(Pocket (2) \x1b[2J)\nG0 X0 Y0 Z0\nG1 X1 F60\n"
+    frame = program_frame(text, [2, 3])
+    written = write_program(parse_gcode(text), ".ngc", frame=frame)
+    assert written.splitlines()[0] == "(Pocket [2] ?[2J)"

@@ -6,7 +6,14 @@ import time
 
 import pytest
 
-from diffmill.io import ProgramError, parse_gcode, read_path_csv, read_program
+from diffmill.io import (
+    ProgramError,
+    parse_gcode,
+    read_path_csv,
+    read_program,
+    write_program,
+)
+from diffmill.toolpath import Program
 
 # Processor time for a refusal [s].
 QUICK = 3.0
@@ -120,3 +127,109 @@ def test_error_lists_at_most_twenty_faults():
     with pytest.raises(ProgramError) as caught:
         parse_gcode("G62\n" * 100)
     assert len(caught.value.faults) == 20
+
+
+POSE = ",A 0,B 0,C 180}"
+TARGET = "[[{},0,1],[0,1,0,0],[0,0,0,0],[9E9,9E9,9E9,9E9,9E9,9E9]]"
+KRL = "DEF a()\n$VEL.CP=0.1\nPTP {X 0,Y 0,Z 1,A 0,B 0,C 180}\n%s\nLIN {X 9}\nEND\n"
+MODULE = f"MODULE a\nPROC main()\nMoveJ {TARGET.format(0)},v50,fine,tool0;\n%s\n"
+MODULE += f"MoveL {TARGET.format(9)},v50,fine,tool0;\n"
+APT = "UNITS/MM\nSPINDL/900,CLW\nFEDRAT/100,MMPM\nFROM/0,0,5\n%s\nGOTO/9,0,5\nFINI\n"
+GCODE = "G0 X0 Y0 Z5\nG1 Z1 F60\n\n%s\nG1 X9\n"
+DIGITS = "1" * 400
+
+
+@pytest.mark.parametrize(
+    ("suffix", "statement", "part"),
+    [
+        (".ngc", "G4 P-1", "a rest of -1 s"),
+        (".ngc", "G4 P2E6", "E is not supported"),
+        (".ngc", "G4 P2000000", "a rest of 2e+06 s"),
+        (".ngc", "G2 I150000", "the centre of an arc at x = 150 m"),
+        (".ngc", "G1 X90000\nG3 X90000 Y1 I6000 J.5", "a point of an arc at x = 102 m"),
+        (".ngc", "G2 I1 P20000", "turns 10000 times at most"),
+        (".ngc", "G91 G81 X40000 Z-1 R1 L3\nG90 G80", "a position at x = 120 m"),
+        (".ngc", "G93 G1 X1 F.00001\nG94 F60", "a motion of 6e+06 s"),
+        (".src", "WAIT SEC -1", "a rest of -1 s"),
+        (".src", "WAIT SEC 1E400", "a rest of inf s"),
+        (".src", "$VEL.CP=1E400", "a speed is above 0"),
+        (".src", "$VEL.CP=1E9", "a feed of 6e+13 mm/min"),
+        (".src", "LIN {X 1E400" + POSE, "a number is 1e+10 at most"),
+        (".src", f"LIN {{X {DIGITS}" + POSE, "300 digits at most"),
+        (".src", "LIN {X 1E6" + POSE, "a position at x = 1000 m"),
+        (".src", "LIN {X 1,A 1E300,B 0,C 0}", "a number is 1e+10 at most"),
+        (".src", "CIRC {X 1,Y 1},{X 2},CA 1E400", "an angle other than 0"),
+        (".src", f"$TOOL=TOOL_DATA[{DIGITS}]", "300 digits at most"),
+        (".mod", "WaitTime -1;", "a rest of -1 s"),
+        (".mod", f"MoveL {TARGET.format('1E400')},v50,fine,tool0;", "17 numbers"),
+        (".mod", f"MoveL {TARGET.format('nan')},v50,fine,tool0;", "17 numbers"),
+        (".mod", f"MoveL {TARGET.format('1E6')},v50,fine,tool0;", "x = 1000 m"),
+        (".mod", f"MoveL {TARGET.format(5)},v{DIGITS},fine,tool0;", "300 digits"),
+        (".mod", f"MoveL {TARGET.format(5)},v5\\T:=2E6,fine,tool0;", "of 2e+06 s"),
+        (".mod", f"MoveL {'Offs(' * 11}p{',1,0,0)' * 11},v5,z1,tool0;", "deeper than"),
+        (".mod", f"MoveL {TARGET.format(5)},v50\\V:={'(' * 11}5{')' * 11},fine,tool0;",
+         "deeper than 10"),
+        (".mod", f"MoveL {TARGET.format(5).replace('0,1,0,0', '0,1E-200,0,0', 1)},v50,"
+         "fine,tool0;", "no length"),
+        (".apt", "DELAY/-1", "a rest of -1 s"),
+        (".apt", "CYCLE/DRILL,RAPTO,1,FEDTO,2,DWELL,-2\nGOTO/1,1,1", "a rest of -2 s"),
+        (".apt", "GOTO/1E400,0,0", "3 numbers up to 1e+10"),
+        (".apt", "GOTO/1E6,0,0", "a position at x = 1000 m"),
+        (".apt", "CIRCLE/150000,0,5,0,0,1,150000\nGOTO/0,0,5", "x = 150 m"),
+        (".apt", "SPINDL/1E9", "0 and 1e+06 rpm"),
+        (".apt", "FROM/1E6,0,0", "a position at x = 1000 m"),
+    ],
+)  # fmt: skip
+def test_numbers_pass_one_gate_in_every_language(tmp_path, suffix, statement, part):
+    texts = {".ngc": GCODE, ".src": KRL, ".mod": MODULE, ".apt": APT}
+    file = tmp_path / f"part{suffix}"
+    file.write_text(texts[suffix] % statement)
+    with pytest.raises(ProgramError) as caught:
+        read_program(file)
+    first = caught.value.faults[0]
+    assert part in first.message
+    begun = 5 if suffix == ".apt" else 4
+    assert begun <= first.line <= begun + 1
+    # What can be said is said, and nothing else is wrong because of it.
+    (tmp_path / f"good{suffix}").write_text(texts[suffix] % "")
+    read_program(tmp_path / f"good{suffix}")
+
+
+def test_ten_brackets_are_not_too_deep(tmp_path):
+    file = tmp_path / "part.mod"
+    offset = "Offs(" * 8 + TARGET.format(0) + ",1,0,0)" * 8
+    file.write_text(MODULE % f"MoveL {offset},v50,fine,tool0;")
+    program = read_program(file)
+    assert isinstance(program, Program)
+    assert program.moves[1].end == pytest.approx((8e-3, 0, 1e-3))
+
+
+@pytest.mark.parametrize(
+    ("suffix", "text"),
+    [
+        (".ngc", "G0 X0 Y0 Z5\nG83 X1 Z-99 R1 Q.0002 F60\nX2"),
+        (".ngc", "G0 X0 Y0 Z5\nG83 X1 Z-9 R1 Q.00001 F60"),
+        (".ngc", "G0 X0 Y0 Z5\nG91 G81 X.0001 Z-9 R1 L9000000 F60"),
+        (".apt", "UNITS/MM\nGOTO/0,0,5\nFEDRAT/9\nCYCLE/DEEP,RAPTO,1,FEDTO,9,1STPECK,1,"
+         "SUBPECK,1E-300\nGOTO/1,1,1\n"),
+    ],
+)  # fmt: skip
+def test_a_program_makes_at_most_two_million_moves(tmp_path, suffix, text, monkeypatch):
+    # Fewer, so that the ones that are made before take no time.
+    monkeypatch.setattr("diffmill.io._programs.move_list.MOST_MOVES", 2000)
+    file = tmp_path / f"part{suffix}"
+    file.write_text(text)
+    assert "makes more than 2000 moves" in refused(lambda: read_program(file))
+
+
+def test_many_short_moves_are_refused_in_the_end(monkeypatch):
+    monkeypatch.setattr("diffmill.io._programs.move_list.MOST_MOVES", 2000)
+    rows = "".join(f"X{k % 7}\n" for k in range(2001))
+    message = refused(lambda: parse_gcode("G1 F60\n" + rows))
+    assert "line 2001: the program makes more than 2000 moves" in message
+
+
+def test_an_arc_of_too_many_pieces_is_not_cut_short():
+    program = parse_gcode("G0 X0 Y0 Z0\nG2 I10 P9999 Z-1 F60\n")
+    with pytest.raises(ValueError, match=r"line 2: the arc takes \d+ straight pieces"):
+        write_program(program, ".apt", tolerance=1e-9)

@@ -189,20 +189,10 @@ def test_numbers_of_krl_are_bounded(read, rows, line):
     assert [at for at, _ in faults(read, krl(*rows))] == [line]
 
 
-def test_offsets_of_rapid_nest_ten_times_at_most(read):
-    def nested(depth):
-        place = f"{'Offs(' * depth}{TARGET.format(0, '9E9')}{',1,0,0)' * depth}"
-        return rapid(f"MoveL {place},v50,z0,mill;\n", move(90, work=""))
-
-    assert read(nested(10), ".mod").moves[0].end[0] == pytest.approx(10e-3)
-    for depth in (11, 1000):
-        assert [at for at, _ in faults(read, nested(depth), ".mod")] == [3]
-
-
 def test_a_feed_or_a_rest_that_no_cell_has_is_noted(read):
     notes = read(krl("$VEL.CP=50", H, "LIN {X 9}", "WAIT SEC 2000")).notes
-    assert any("line 3: $VEL.CP=50: is 50 m/s" in note for note in notes)
-    assert any("WAIT SEC 2000: rests for 2000 s" in note for note in notes)
+    assert any("feed: up to 50 m/s" in note for note in notes)
+    assert any("rest of 2000 s: is longer than a minute" in note for note in notes)
 
 
 def test_control_characters_of_a_program_do_not_reach_the_terminal(read):

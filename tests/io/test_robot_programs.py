@@ -411,7 +411,7 @@ H = "PTP {X 0,Y 0,Z 0,A 0,B 0,C 180}"
         (".apt", "PARTNO/A\nTLAXIS/0,1\n", 2),
         (".apt", "FEDRAT/9\nCYCLE/DRILL,RAPTO,3,FEDTO,0\nGOTO/1,2,3\n", 2),
         (".apt", "FEDRAT/9\nCYCLE/DRILL,RAPTO,3,FEDTO,5,MMPR,0.1\nGOTO/1,2,3\n", 2),
-        (".apt", "CSYS/1,0,0,5,0,1,0,0,0,0,1,0\nGOTO/1,2,3\n", 1),
+        (".apt", "GOTO/1,2,4\nCSYS/1,0,0,5,0,1,0,0,0,0,1,0\nGOTO/1,2,3\n", 2),
     ],
 )
 def test_what_is_no_plain_motion_is_refused(read, suffix, text, line):
@@ -695,3 +695,111 @@ def test_the_tool_turns_evenly_over_an_arc_in_pieces(read, suffix):
             path = sample_program(program, 1e-4, **limits)
             axes.append(np.asarray(path.axes)[round(share * path.step_count)])
         np.testing.assert_allclose(axes[0], axes[1], atol=2e-3)
+
+
+INCHES = """LOADTL/1
+SPINDL/RPM,6000,CLW
+RAPID
+GOTO/0,0,1
+{}
+GOTO/0,0,-1
+GOTO/2,0,-1
+FINI
+"""
+
+
+def ends_of(text, tmp_path, suffix=".cls"):
+    file = tmp_path / f"part{suffix}"
+    file.write_text(text)
+    program = read_program(file)
+    assert isinstance(program, Program)
+    return program, [move.end for move in program.moves]
+
+
+@pytest.mark.parametrize(
+    ("statement", "scale", "note"),
+    [
+        ("FEDRAT/IPM,20", 25.4, "lengths are inches: as FEDRAT says"),
+        ("SPINDL/600\nFEDRAT/.01,IPR", 25.4, "lengths are inches: as FEDRAT says"),
+        ("FEDRAT/500,MMPM", 1.0, "lengths are millimetres: as FEDRAT says"),
+        ("FEDRAT/500", 1.0, "lengths are millimetres: there is no UNITS"),
+        ("UNITS/INCHES\nFEDRAT/20", 25.4, ""),
+        ("UNITS/MM\nFEDRAT/20,MMPM", 1.0, ""),
+    ],
+)
+def test_the_unit_of_apt_is_that_of_its_feeds(tmp_path, statement, scale, note):
+    program, ends = ends_of(INCHES.format(statement), tmp_path)
+    # The unit holds for what stands before the statement too.
+    assert ends[0] == pytest.approx((0, 0, scale * 1e-3))
+    assert ends[-1] == pytest.approx((2 * scale * 1e-3, 0, -scale * 1e-3))
+    if "20" in statement and scale > 1:
+        assert program.moves[-1].feed == pytest.approx(20 * 25.4e-3 / 60)
+    notes = [one for one in program.notes if "lengths" in one]
+    assert len(notes) == bool(note)
+    assert note in "".join(notes)
+
+
+@pytest.mark.parametrize(
+    ("statement", "line"),
+    [
+        ("UNITS/MM\nFEDRAT/20,IPM", 6),
+        ("UNITS/INCHES\nFEDRAT/20,MMPM", 6),
+        ("FEDRAT/20,IPM\nFEDRAT/20,MMPM", 6),
+        ("UNITS/MM\nFEDRAT/20\nUNITS/INCHES", 7),
+        ("UNITS/MM\nFEDRAT/20\nCYCLE/DRILL,RAPTO,1,FEDTO,2,IPM,9\nCYCLE/OFF", 7),
+    ],
+)
+def test_units_of_apt_that_contradict_are_refused(tmp_path, statement, line):
+    with pytest.raises(ProgramError) as caught:
+        ends_of(INCHES.format(statement), tmp_path)
+    (fault,) = caught.value.faults
+    assert fault.line == line
+    assert "contradict" in fault.message
+
+
+@pytest.mark.parametrize(
+    "frame", ["CSYS/0,-1,0,5,1,0,0,0,0,0,1,0", "MSYS/5,0,0,1,0,0,0,1,0"]
+)
+def test_one_frame_for_all_motion_is_work(tmp_path, frame):
+    body = "GOTO/0,0,5\n{}\nFEDRAT/100,MMPM\nGOTO/1,2,3\n"
+    program, ends = ends_of(
+        f"UNITS/MM\n{frame}\nRAPID\n" + body.format(frame), tmp_path
+    )
+    assert ends[-1] == pytest.approx((1e-3, 2e-3, 3e-3))
+    assert "is the frame of all motion, which is taken to be work" in program.notes[0]
+    word = frame.split("/")[0]
+    plain = (
+        "CSYS/1,0,0,0,0,1,0,0,0,0,1,0" if word == "CSYS" else "MSYS/0,0,0,1,0,0,0,1,0"
+    )
+    for first, second in (
+        (frame, plain),
+        (plain, frame),
+        ("", frame),
+        (frame, f"{word}/A"),
+    ):
+        with pytest.raises(ProgramError) as caught:
+            ends_of(f"UNITS/MM\n{first}\nRAPID\n" + body.format(second), tmp_path)
+        assert [fault.line for fault in caught.value.faults] == [5]
+
+
+def test_a_comment_of_creo_goes_on_as_a_statement_does(tmp_path):
+    text = "$$* Creo\n$$-> CSYS / {}, 0, 0, 0, $\n   0, 1, 0, 0, $\n   0, 0, 1, 0\n"
+    text += "$$-> CUTTER / 10., $\n  2.\n$$ costs 5$\nUNITS / MM\nRAPID\n"
+    text += "GOTO / 0, 0, 5\n$$-> END /\nFEDRAT / 120., MMPM\nGOTO / 1, 2, 3\nFINI\n"
+    program, ends = ends_of(text.format(1), tmp_path, ".cl")
+    assert ends[-1] == pytest.approx((1e-3, 2e-3, 3e-3))
+    assert "line 2: CSYS: changes no motion here" in program.notes
+    program, _ = ends_of(text.format(-1), tmp_path, ".cl")
+    assert "line 2: CSYS: is the frame of all motion" in program.notes[0]
+
+
+def test_from_tells_a_place_before_the_motion_of_a_tool(tmp_path):
+    start = "UNITS/MM\nLOADTL/1\nFROM/0,0,50\nFEDRAT/100,MMPM\nGOTO/0,0,5\n"
+    program, _ = ends_of(
+        start + "FROM/0,0,5\nLOADTL/2\nFROM/9,0,5\nGOTO/9,0,1", tmp_path
+    )
+    assert program.of_tool(2).moves[0].start == pytest.approx((9e-3, 0, 5e-3))
+    for text, line in ((start + "FROM/0,0,9\n", 6), ("GODLTA/0,0,-5\nGOTO/1,1,1", 1)):
+        with pytest.raises(ProgramError) as caught:
+            ends_of(text, tmp_path)
+        assert caught.value.faults[0].line == line

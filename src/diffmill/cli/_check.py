@@ -193,7 +193,7 @@ def _describe_program(file: pathlib.Path, program: "Program") -> list[str]:
         pose = program.work_position, program.work_rpy
         lines.append(_pose_line("base (work in the robot's base)", *pose))
     if len(program.tools) == 1:
-        lines += _describe_moves(program)
+        lines += _describe_moves(program.of_tool())
     else:
         for tool in program.tools:
             lines.append(f"  tool {'not named' if tool is None else f'T{tool}'}:")
@@ -229,8 +229,8 @@ def _describe_moves(program: "Program") -> list[str]:
         lines.append(_pose_line("tool in the flange, its z up the shank", *pose))
     if moves:
         lines.append(_axis_line(np.array([m.axis for m in at_feed or moves])))
-    points = [m.start for m in moves] + [m.end for m in moves]
-    return [*lines, *_extents(np.array(points))] if moves else lines
+    bounds = [point for move in moves for point in move.bounds]
+    return [*lines, *_extents(np.array(bounds))] if moves else lines
 
 
 def _kind(move: "Move") -> str:
@@ -257,6 +257,7 @@ def _describe_path(file: pathlib.Path, path: "Path") -> list[str]:
         f"{int(np.sum(path.is_rapid))} rapid",
         _path_axis_line(path),
         *_extents(np.asarray(path.positions)),
+        *(f"  note: {note}" for note in path.notes),
     ]
 
 

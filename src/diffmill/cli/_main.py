@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import tyro
 
+from .._messages import printable
 from .._toml import read_toml
 from ._session.errors import BadInput, Interrupted, bad_input
 from ._session.usage import check_usage, shell_of
@@ -354,7 +355,7 @@ def check(
 
     with bad_input():
         lines = describe_file(file, allow_outside=allow_outside)
-    print("\n".join(lines), flush=True)
+    print(printable("\n".join(lines)), flush=True)
     return 0
 
 
@@ -390,7 +391,7 @@ def convert(
             source, target, tolerance=length, force=force, is_spline=spline
         )
     if not quiet:
-        print("\n".join(lines))
+        print(printable("\n".join(lines)))
     return 0
 
 
@@ -461,7 +462,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except SystemExit as end:
         return end.code if isinstance(end.code, int) else 0 if end.code is None else 2
     except BadInput as error:
-        print(f"error: {error}", file=sys.stderr)
+        print(printable(f"error: {error}"), file=sys.stderr)
         return 2
     except (KeyboardInterrupt, Interrupted) as error:
         print(
@@ -477,5 +478,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         reason = getattr(error, "strerror", None) or error
         place = getattr(error, "filename", None)
         place = "" if place is None else f"{place}: "
-        print(f"error: {place}{reason}; no results were written", file=sys.stderr)
+        message = f"error: {place}{reason}; no results were written"
+        print(printable(message), file=sys.stderr)
         return 1

@@ -10,6 +10,8 @@ from jaxtyping import Float, Int
 from .._messages import shown
 from ..toolpath import Path
 from ._programs.faults import Fault, ProgramError
+from ._programs.limits import FARTHEST
+from ._programs.text import read_text
 
 _LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254, "inch": 0.0254}
 _TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0}
@@ -20,9 +22,6 @@ _SPEEDS = {
 }
 _UNITS = {"time": _TIMES, "x": _LENGTHS, "y": _LENGTHS, "z": _LENGTHS, "feed": _SPEEDS}
 _PLAIN = ("rapid", "line", "i", "j", "k")
-_MOST_BYTES = 250_000_000
-# Farthest from the origin [m].
-_LARGEST = 100.0
 
 
 def read_path_csv(file: str | os.PathLike[str]) -> Path:
@@ -31,7 +30,8 @@ def read_path_csv(file: str | os.PathLike[str]) -> Path:
     The header names the columns with their units: `time_s,x_mm,y_mm,z_mm` are needed
     (or `time_ms`, `x_m`, `x_in` and so on), `rapid` (0 or 1), `feed_mm_per_min`,
     `line` and the tool axis `i,j,k` may follow in any order. Columns are separated by
-    commas or semicolons. Empty lines and lines that start with # are left out.
+    semicolons, tabs or commas; between semicolons or tabs, numbers may have a decimal
+    comma. Empty lines and lines that start with # are left out.
 
     Args:
         file: Path of the file.
@@ -45,15 +45,7 @@ def read_path_csv(file: str | os.PathLike[str]) -> Path:
         ProgramError: If anything in the file is wrong; up to 20 faults are listed.
     """
     path = pathlib.Path(file)
-    try:
-        with path.open("rb") as stream:
-            data = stream.read(_MOST_BYTES + 1)
-    except OSError as error:
-        raise _refused(str(path), [f"cannot be read: {error.strerror}."]) from None
-    if len(data) > _MOST_BYTES:
-        raise _refused(path.name, [f"has more than {_MOST_BYTES / 1e6:g} MB."])
-    text = data.decode("utf-8-sig", errors="replace")
-    return _path_of_text(text, path.name)
+    return _path_of_text(read_text(path), path.name)
 
 
 def _refused(name: str, faults: list[str]) -> ProgramError:
@@ -78,13 +70,14 @@ def _path_of_text(text: str, name: str) -> Path:
     if not rows:
         raise _refused(name, ["the file is empty; needed is a header and 2 rows."])
     number, header = rows[0]
-    delimiter = ";" if ";" in header else ","
-    labels = [label.strip().lower() for label in header.split(delimiter)]
+    delimiter = next((sign for sign in ";\t" if sign in header), ",")
+    labels = [label.strip(' "').lower() for label in header.split(delimiter)]
     faults: list[str] = []
     columns = _columns(labels, number, faults)
+    body = _with_points(rows[1:], delimiter, len(labels), faults)
     if faults:
         raise _refused(name, faults)
-    values = _values(rows[1:], labels, delimiter, faults)
+    values = _values(body, labels, delimiter, faults)
     if len(rows) < 3:
         faults.append(f"found {len(rows) - 1} rows after the header; needed are 2.")
     if faults:
@@ -178,6 +171,30 @@ def _columns(labels: list[str], number: int, faults: list[str]) -> dict[str, _Co
     return columns
 
 
+def _with_points(
+    rows: list[_Line], delimiter: str, count: int, faults: list[str]
+) -> list[_Line]:
+    """Return rows with decimal points for commas; report a file with both signs."""
+    if delimiter == ",":
+        counts = {row.text.count(",") + 1 for row in rows}
+        if counts == {2 * count}:
+            faults.append(
+                f"line {rows[0].number}: found {2 * count} values in every row, which "
+                f"look like {count} with a decimal comma; allowed are decimal points, "
+                "or columns that are separated by semicolons or tabs."
+            )
+        return rows
+    commas = [row for row in rows if "," in row.text]
+    if not commas:
+        return rows
+    if points := [row for row in rows if "." in row.text]:
+        faults.append(
+            f"line {commas[0].number}: found decimal commas, but points in line "
+            f"{points[0].number}; allowed is one of them."
+        )
+    return [_Line(row.number, row.text.replace(",", ".")) for row in rows]
+
+
 def _values(
     rows: list[_Line], labels: list[str], delimiter: str, faults: list[str]
 ) -> Float[np.ndarray, "row column"]:
@@ -206,7 +223,7 @@ def _values(
 def _number(text: str) -> float:
     """Return a number, or NaN for what is none."""
     try:
-        return float(text)
+        return float(text.strip(' "'))
     except ValueError:
         return float("nan")
 
@@ -224,10 +241,10 @@ def _check(
             f"{time[row - 1]:.9g} s; the time must increase."
         )
     for axis in "xyz":
-        for row in np.flatnonzero(~(np.abs(data[axis]) <= _LARGEST)):
+        for row in np.flatnonzero(~(np.abs(data[axis]) <= FARTHEST)):
             faults.append(
                 f"line {lines[row]}: found {axis} at {data[axis][row]:g} m; at most "
-                f"{_LARGEST:g} m is allowed."
+                f"{FARTHEST:g} m is allowed."
             )
     number = data.get("line", np.zeros_like(time))
     for row in np.flatnonzero((number < 0) | (number >= 2**31) | (number % 1 != 0)):

@@ -102,6 +102,59 @@ class Move(NamedTuple):
         along = 0.5 * (first + last) * self.sweep
         return math.hypot(along, self.rise, last - first)
 
+    def points_at(
+        self, share: Float[np.ndarray, " part"]
+    ) -> Float[np.ndarray, "part 3"]:
+        """Points at shares of the move [m], of an arc at shares of its angle.
+
+        Args:
+            share: Shares, shape (part,).
+        """
+        part = share[:, None]
+        if self.centre is None:
+            return np.array(self.start) + part * np.subtract(self.end, self.start)
+        first, last = self.radii
+        normal, radial = np.array(self.normal), np.array(self.spokes[0]) / first
+        radius, angle = first + part * (last - first), part * self.sweep
+        around = np.cos(angle) * radial + np.sin(angle) * np.cross(normal, radial)
+        return np.array(self.centre) + radius * around + part * self.rise * normal
+
+    @property
+    def bounds(self) -> tuple[Point, Point]:
+        """Least and greatest coordinates of all points of the move [m].
+
+        A coordinate of an arc turns back where its derivative by the angle is zero;
+        the slope of a spiral's radius is left out of that.
+        """
+        points = [self.start, self.end]
+        if self.centre is not None and self.radii[0] > 0:
+            points += self.points_at(np.array(self._turning_shares())).tolist()
+        x, y, z = zip(*points, strict=True)
+        return (min(x), min(y), min(z)), (max(x), max(y), max(z))
+
+    def _turning_shares(self) -> list[float]:
+        """Shares of an arc's angle at which a coordinate turns back."""
+        # symbols: u radial at the start, v = normal x u, t angle from 0 to sweep;
+        # a coordinate is r (u cos t + v sin t) + n rise t / sweep
+        radius, sweep = self.radii[0], self.sweep
+        u = np.array(self.spokes[0]) / radius
+        v = np.cross(self.normal, u)
+        shares = []
+        for axis in range(3):
+            r = radius * math.hypot(u[axis], v[axis])
+            slope = self.rise * self.normal[axis] / sweep
+            if r <= abs(slope) or r < 1e-12 * radius:
+                continue
+            # r sin(t - t_0) = slope, t_0 being where u cos t + v sin t is largest.
+            t_0, lean = math.atan2(v[axis], u[axis]), math.asin(slope / r)
+            for t in (t_0 + lean, t_0 + math.pi - lean):
+                ends = sorted([-t / math.tau, (sweep - t) / math.tau])
+                # Of several turns the first and the last reach farthest.
+                turns = {math.ceil(ends[0]), math.floor(ends[1])}
+                inside = [turn for turn in turns if ends[0] <= turn <= ends[1]]
+                shares += [(t + turn * math.tau) / sweep for turn in inside]
+        return shares
+
     def axes_at(
         self, share: Float[np.ndarray, " part"], start_axis: Point
     ) -> Float[np.ndarray, "part 3"]:

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from typing import ClassVar
 
 import equinox as eqx
 import jax
@@ -47,6 +48,9 @@ class Path(eqx.Module):
     row_count: IntScalar | None = None
     tool_x: FloatRows3 | None = None
 
+    # Faster than any cell moves a cutter [m/s].
+    UNUSUAL_SPEED: ClassVar[float] = 5.0
+
     def __check_init__(self):
         rows = self.positions.shape[0]
         for name in ("time", "axes", "is_rapid", "line", "tool_x"):
@@ -86,6 +90,26 @@ class Path(eqx.Module):
         **Differentiability**: none.
         """
         return stand_upright(np.asarray(self.axes, np.float64))
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What is worth knowing of a recorded path, a sentence each.
+
+        **Differentiability**: none.
+        """
+        time, points = np.asarray(self.time), np.asarray(self.positions)
+        speeds = np.linalg.norm(np.diff(points, axis=0), axis=1) / np.diff(time)
+        row = int(np.argmax(speeds))
+        if not speeds[row] > self.UNUSUAL_SPEED:
+            return ()
+        count = int(np.sum(speeds > self.UNUSUAL_SPEED))
+        duration, line = np.diff(time)[row], int(np.asarray(self.line)[row + 1])
+        return (
+            f"the path moves at {speeds[row]:.3g} m/s before line {line} "
+            f"({speeds[row] * duration:.3g} m in {duration:.3g} s), and above "
+            f"{self.UNUSUAL_SPEED:g} m/s in {count} row{'s' * (count > 1)}: faster "
+            "than a cell moves a cutter",
+        )
 
     def padded(self, row_count: int | None = None) -> "Path":
         """Return the path with rows behind its last one that no simulation runs.

@@ -6,6 +6,8 @@ from types import TracebackType
 
 from rich.console import Console
 
+from ..._messages import printable
+
 # Compiling what is shorter is not worth a line [s].
 _LEAST_COMPILATION = 0.2
 # Without a terminal a line says every so often that something still goes on [s].
@@ -96,18 +98,18 @@ class Progress:
     def say(self, message: str) -> None:
         """Print a message that stays."""
         if not self.is_quiet:
-            self._console.print(message, markup=False)
+            self._console.print(printable(message), markup=False)
 
     def answer(self, message: str) -> None:
         """Print what was asked for: on the standard output, if that is not for JSON."""
         if self.prints_json or self.is_quiet:
             self.say(message)
         else:
-            print(message, flush=True)
+            print(printable(message), flush=True)
 
     def _show(self, message: str, *, stays: bool) -> None:
         """Show a line with the time; on a terminal it may stay."""
-        text = f"{time.perf_counter() - self._start:6.1f} s  {message}"
+        text = f"{time.perf_counter() - self._start:6.1f} s  {printable(message)}"
         self._said = time.perf_counter()
         if self._console.is_terminal:
             self._status.update(text)

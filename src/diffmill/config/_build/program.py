@@ -65,6 +65,7 @@ def read_program(table: ProgramTable, context: FileContext) -> Program | Path | 
         program = io.read_program(path, setup=_setup(table))
         if isinstance(program, Path):
             _check_recorded(table, context)
+            context.notes.extend(f"[program] {note}" for note in program.notes)
             return program
         chosen = program.of_tool(table.tool)
     except ProgramError as error:

@@ -6,6 +6,8 @@ import operator
 import re
 from collections.abc import Mapping
 
+from .limits import LARGEST_NUMBER
+
 _OPERATORS = {
     ast.Add: operator.add,
     ast.Sub: operator.sub,
@@ -29,16 +31,18 @@ def value_of(
             such a quotient has no value here.
 
     Returns:
-        The value; NaN where a name is not known, or anything else is found.
+        The value; NaN where a name is not known, it is too large, or anything else is
+        found.
     """
     if len(text) > _LONGEST:
         return math.nan
     try:
         plain = _ZEROS.sub("", text.strip().upper())
         body = ast.parse(plain, mode="eval").body
-        return float(_value(body, known, truncates))
+        value = float(_value(body, known, truncates))
     except (SyntaxError, ValueError, ArithmeticError):
         return math.nan
+    return value if abs(value) <= LARGEST_NUMBER else math.nan
 
 
 def _value(node: ast.expr, known: Mapping[str, float], truncates: bool) -> int | float:

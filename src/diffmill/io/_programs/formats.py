@@ -10,6 +10,7 @@ import numpy as np
 
 from ...toolpath import Path, Program, sample_program
 from .._path_csv import read_path_csv, write_path_csv
+from .dialects import recognised
 from .faults import Fault, ProgramError
 from .geometry import ToolAxis
 from .robots.apt import parse_apt
@@ -66,6 +67,19 @@ def read_program(
         )
         raise ProgramError(str(path), [fault])
     text = read_text(path)
+    try:
+        return _parsed(text, path, setup)
+    except ProgramError as error:
+        # One fault says more than the many of a program of another kind.
+        fault = recognised(text, suffix, is_gcode=suffix in GCODE)
+        if fault is None:
+            raise
+        raise ProgramError(path.name, [fault]) from error
+
+
+def _parsed(text: str, path: pathlib.Path, setup: ProgramSetup) -> Program:
+    """Return the program of a text in the language of its suffix."""
+    suffix = path.suffix.lower()
     axis: ToolAxis = setup.tool_axis or "z"
     if suffix in KRL:
         beside = _data_file(path)

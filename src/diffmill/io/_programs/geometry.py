@@ -181,15 +181,7 @@ def rotated(point: Point, centre: Point, normal: Point, angle: float) -> Point:
 
 def arc_points(move: Move, count: int) -> Float[np.ndarray, "point 3"]:
     """Return points of an arc at equal parts of its angle, its start left out [m]."""
-    assert move.centre is not None
-    first, last = move.radii
-    sweep = move.sweep
-    normal = np.array(move.normal)
-    radial = np.array(move.spokes[0]) / first
-    part = np.arange(1, count + 1)[:, None] / count
-    radius, angle = first + part * (last - first), part * sweep
-    around = np.cos(angle) * radial + np.sin(angle) * np.cross(normal, radial)
-    points = np.array(move.centre) + radius * around + part * move.rise * normal
+    points = move.points_at(np.arange(1, count + 1) / count)
     points[-1] = move.end
     return points
 
@@ -216,13 +208,22 @@ def straight_pieces(
         tolerance: How far the pieces may lie beside it [m].
         before: The move before, from whose orientation the tool turns evenly over the
             pieces; None for that at its end.
+
+    Raises:
+        ValueError: If the tolerance takes too many pieces.
     """
     if move.centre is None:
         return [move]
     radius = max(move.radii)
     ratio = min(max(1 - tolerance / radius, -1.0), 1.0)
     step = max(2 * math.acos(ratio), 1e-4)
-    count = min(max(1, math.ceil(abs(move.sweep) / step)), _MOST_PIECES)
+    count = max(1, math.ceil(abs(move.sweep) / step))
+    if count > _MOST_PIECES:
+        raise ValueError(
+            f"line {move.line}: the arc takes {count} straight pieces within "
+            f"{tolerance * 1e3:g} mm; {_MOST_PIECES} are allowed. A larger tolerance "
+            "takes less."
+        )
     pieces = []
     duration = None if move.duration is None else move.duration / count
     for one in arc_parts(move, count, before=before):

@@ -1,9 +1,18 @@
-"""Moves as a program is read: sections of tools, approaches, notes."""
+"""Moves as a program is read: sections of tools, approaches, faults and notes."""
 
+import math
 from dataclasses import dataclass, field
 
 from ...toolpath import Move, Program, Section
 from .faults import Fault, ProgramError
+from .limits import (
+    LONGEST_DURATION,
+    MOST_MOVES,
+    UNUSUAL_REST,
+    UNUSUAL_SPEED,
+    fault_of,
+    is_plain,
+)
 
 # Lines that a note lists.
 _LISTED = 3
@@ -22,13 +31,19 @@ class _Note:
 class MoveList:
     """The moves so far, with what the program says about tools and speeds.
 
+    Every move and rest of every language passes here, and its numbers are judged.
+
     Attributes:
+        name: Name of the program's file, for messages.
+        faults: What is wrong so far.
         moves: The moves [m].
         sections: Finished sections.
         is_approach: Whether the place of the tool is still not known.
         known: Axes whose position the section has stated.
     """
 
+    name: str = "program"
+    faults: list[Fault] = field(default_factory=list)
     moves: list[Move] = field(default_factory=list)
     sections: list[Section] = field(default_factory=list)
     is_approach: bool = True
@@ -41,11 +56,19 @@ class MoveList:
     _speeds: dict[float, None] = field(default_factory=dict)
     _all_speeds: dict[float, None] = field(default_factory=dict)
     _notes: dict[str, _Note] = field(default_factory=dict)
+    _lost: set[str] = field(default_factory=set)
+    # Line of the first motion whose numbers are not known.
+    _unknown: int | None = None
 
     @property
     def tool(self) -> int | None:
         """The tool that works now."""
         return self._tool
+
+    @property
+    def has_section(self) -> bool:
+        """Whether the section at work has moves."""
+        return len(self.moves) > self._first
 
     def add(self, move: Move, axes: str) -> None:
         """Add a move.
@@ -53,7 +76,18 @@ class MoveList:
         Args:
             move: The move.
             axes: Which of X, Y and Z it brings to a place that the program states.
+
+        Raises:
+            ProgramError: If the program makes too many moves.
         """
+        if not is_plain(move):
+            if message := fault_of(move):
+                self.faults.append(Fault(move.line, "", message))
+            if self._unknown is None and math.isnan(_sum(move)):
+                self._unknown = move.line
+        if len(self.moves) >= MOST_MOVES:
+            self.reserve(1, move.line)
+        self._lost.difference_update(axes)
         if self.is_approach:
             if move.is_rapid:
                 self._approach_count += 1
@@ -63,8 +97,28 @@ class MoveList:
                 self.is_approach = False
         self.moves.append(move)
 
-    def rest(self, duration: float) -> None:
+    def reserve(self, count: int | float, line: int) -> None:
+        """Refuse more moves than a program may make, before they are made.
+
+        Raises:
+            ProgramError: If `count` more are too many.
+        """
+        if not len(self.moves) + count <= MOST_MOVES:
+            message = f"the program makes more than {MOST_MOVES} moves."
+            raise ProgramError(self.name, [*self.faults, Fault(line, "", message)])
+
+    def rest(self, duration: float, line: int, word: str = "") -> None:
         """Let the tool stay where it is [s]; before any move there is no such place."""
+        if not 0 <= duration <= LONGEST_DURATION and not math.isnan(duration):
+            message = f"found a rest of {duration:g} s; allowed are 0 to "
+            message += f"{LONGEST_DURATION:g} s."
+            self.faults.append(Fault(line, word, message))
+        elif self._unknown is None and math.isnan(duration):
+            self._unknown = line
+        if duration > UNUSUAL_REST:
+            sentence = "is longer than a minute; it counts in seconds here, and in "
+            sentence += "milliseconds on some controllers"
+            self.note(f"rest of {duration:g} s", sentence, line)
         if self.moves:
             last = self.moves[-1]
             self.moves[-1] = last._replace(rest=last.rest + duration)
@@ -79,7 +133,7 @@ class MoveList:
         """Begin a section with another tool, if it is another one."""
         if tool == self._tool:
             return
-        if len(self.moves) > self._first:
+        if self.has_section:
             self.begin_section(line)
         self._tool = tool
 
@@ -96,6 +150,14 @@ class MoveList:
         self.is_approach = True
         self.known = set()
 
+    def lose(self, axes: str, line: int) -> None:
+        """Begin a section in which some axes have to be stated anew, others not."""
+        known = self.known if self.is_approach else set("XYZ")
+        if self.has_section and not self.is_approach:
+            self.begin_section(line)
+        self.is_approach, self.known = True, known - set(axes)
+        self._lost |= set(axes)
+
     def note(self, word: str, sentence: str, line: int) -> None:
         """Note a word that changes no motion, or an assumption."""
         note = self._notes.setdefault(word, _Note(sentence))
@@ -103,32 +165,57 @@ class MoveList:
         if len(note.lines) < _LISTED and line not in note.lines:
             note.lines.append(line)
 
-    def finish(self, text: str, name: str) -> Program:
+    def finish(self, text: str) -> Program:
         """Return the program.
 
         Raises:
-            ProgramError: If nothing moves.
+            ProgramError: If a fault has been found, or nothing moves.
         """
+        if self.faults:
+            raise ProgramError(self.name, self.faults)
+        if self._unknown is not None:
+            message = "a number of this motion is not known, or too large."
+            raise ProgramError(self.name, [Fault(self._unknown, "", message)])
         if not any(move.length > 0 for move in self.moves):
             message = "the program moves nothing; needed is a motion to another place."
-            raise ProgramError(name, [Fault(0, "", message)])
+            raise ProgramError(self.name, [Fault(0, "", message)])
         self._finish()
+        self._note_speeds()
         return Program(
             tuple(self.moves),
             approach_count=self.sections[0].approach_count,
             spindle_speeds=tuple(self._all_speeds),
             source=text,
-            name=name,
+            name=self.name,
             sections=tuple(self.sections),
             notes=tuple(_sentence(word, note) for word, note in self._notes.items()),
         )
 
+    def _note_speeds(self) -> None:
+        """Note motion that is faster than a cell moves a cutter."""
+        speeds = [
+            (move.length / move.duration if move.duration else move.feed or 0.0)
+            for move in self.moves
+        ]
+        fastest = max(speeds)
+        if fastest <= UNUSUAL_SPEED:
+            return
+        sentence = f"up to {fastest:.3g} m/s ({fastest * 6e4:.3g} mm/min), faster than "
+        sentence += "a cell moves a cutter; is its unit another one?"
+        for move, speed in zip(self.moves, speeds, strict=True):
+            if speed > UNUSUAL_SPEED:
+                self.note("feed", sentence, move.line)
+
     def _finish(self) -> None:
-        """Keep the section at work, if it has moves."""
+        """Keep the section at work, if it has moves to a known place."""
+        if self.sections and self._lost and self.has_section:
+            sentence = "leads to a place that is not stated, and is left out"
+            self.note("a rapid move", sentence, self.moves[self._first].line)
+            del self.moves[self._first :]
         speeds = self._speeds
         if not speeds and self._speed is not None:
             speeds = {self._speed: None}
-        if len(self.moves) > self._first:
+        if self.has_section:
             self.sections.append(
                 Section(
                     self._tool,
@@ -139,6 +226,12 @@ class MoveList:
                     self._line,
                 )
             )
+
+
+def _sum(move: Move) -> float:
+    """Sum of the numbers of a move; NaN where one of them is."""
+    out = sum(move.start) + sum(move.end) + (move.feed or 0.0) + (move.duration or 0.0)
+    return out if move.centre is None else out + sum(move.centre)
 
 
 def _sentence(word: str, note: _Note) -> str:

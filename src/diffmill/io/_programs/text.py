@@ -1,16 +1,21 @@
 """The text of a program's file, of a bounded size."""
 
+import codecs
 import pathlib
+
+import numpy as np
 
 from .faults import Fault, ProgramError
 
 # Two million lines of a program in space have less.
 MOST_BYTES = 250_000_000
 MOST_LINES = 2_000_000
+# Bytes that tell how a text is encoded.
+_HEAD = 256
 
 
 def read_text(path: pathlib.Path) -> str:
-    """Return the text of a file; bytes that are no UTF-8 may stand in comments.
+    """Return the text of a file; bytes that are no Unicode may stand in comments.
 
     Raises:
         ProgramError: If the file cannot be read, or is too large; no more of it than
@@ -28,7 +33,26 @@ def read_text(path: pathlib.Path) -> str:
     if is_large or len(data) > MOST_BYTES:
         message = f"the file has more than {MOST_BYTES / 1e6:g} MB."
         raise ProgramError(path.name, [Fault(0, "", message)])
+    return decoded(data)
+
+
+def decoded(data: bytes) -> str:
+    """Return text in UTF-16, as Windows writes it, or in UTF-8."""
+    head = data[:_HEAD]
+    if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return data.decode("utf-16", errors="replace")
+    # Without a mark, letters of a program leave every other byte 0.
+    for offset, name in ((1, "utf-16-le"), (0, "utf-16-be")):
+        if len(head) > 1 and not any(head[offset::2]) and all(head[1 - offset :: 2]):
+            return data.decode(name, errors="replace")
     return data.decode("utf-8-sig", errors="replace")
+
+
+def plain_number(value: float, digits: int = 12) -> str:
+    """Return a number without an exponent, which G-code does not know."""
+    return np.format_float_positional(
+        value + 0.0, precision=digits, unique=False, fractional=False, trim="-"
+    )
 
 
 def split_lines(text: str, name: str) -> list[str]:

@@ -3,9 +3,17 @@
 import itertools
 import math
 import re
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 from ....toolpath import Move, Point, Program
-from ..faults import SHOWN_FAULTS, ProgramError
+from ..faults import SHOWN_FAULTS, Fault
+from ..limits import (
+    LARGEST_NUMBER,
+    LARGEST_SPEED_RPM,
+    fault_of,
+    fault_of_statement,
+)
 from ..text import split_lines
 from .reader import Reader
 
@@ -24,26 +32,70 @@ _DEEP = frozenset(["DEEP", "DEEP2"])
 _DEPTHS = ("FEDTO", "1STPECK", "SUBPECK")
 # How far above the last depth a peck goes by rapid [m]: the program does not say.
 _CLEARANCE = 0.254e-3
-_MOST_PECKS = 10_000
 _FEED_UNITS = {"MMPM": 1.0, "IPM": _MM_PER_INCH, "PERMIN": None}
 _FEEDS_OF_TURN = {"MMPR": 1.0, "IPR": _MM_PER_INCH, "PERREV": None}
 _UNITS = {"MM": 1.0, "INCHES": _MM_PER_INCH, "INCH": _MM_PER_INCH}
-# Frames that change nothing.
+_UNITS_OF_FEEDS = {
+    unit: scale
+    for unit, scale in (_FEED_UNITS | _FEEDS_OF_TURN).items()
+    if scale is not None
+}
+# Frames that change nothing; one that all motion shares is `work`.
 _FRAMES = {
     "CSYS": (1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0),
     "MSYS": (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0),
     "TRNTYP": (math.nan, 0.0, 0.0, 0.0),
 }
+# Creo writes the frame in a comment; its lines go on as statements do.
+_CREO = re.compile(r"\s*\$\$->")
 # How far the radii at the ends of a circle may differ [m].
 _SPIRAL = 5e-5
+
+
+class _Units(NamedTuple):
+    """Unit of the lengths of a program, and the statement that tells it.
+
+    Attributes:
+        scale: Millimetres per unit.
+        line: Line of the statement; 0 without one.
+        word: Its major word; empty without one.
+    """
+
+    scale: float = 1.0
+    line: int = 0
+    word: str = ""
+
+    @property
+    def name(self) -> str:
+        """Name of the unit."""
+        return "millimetres" if self.scale == 1.0 else "inches"
+
+
+class _Statement(NamedTuple):
+    """A statement, with the line on which it begins."""
+
+    row: str
+    line: int
+
+    @property
+    def word(self) -> str:
+        """The major word, in upper case."""
+        return self.row.partition("/")[0].strip().upper()
+
+    @property
+    def parts(self) -> list[str]:
+        """What stands behind the slash, in upper case."""
+        rest = self.row.partition("/")[2]
+        return [part.strip().upper() for part in rest.split(",") if part.strip()]
 
 
 class _Apt(Reader):
     """State of the reader of APT."""
 
-    def __init__(self) -> None:
+    def __init__(self, units: _Units) -> None:
         super().__init__()
-        self.scale = 1.0
+        self.units, self.scale = units, units.scale
+        self.frames: dict[str, tuple[float | str, ...]] = dict(_FRAMES)
         self.is_rapid = False
         self.spindle = 0.0
         self.feed_per_turn: float | None = None
@@ -58,12 +110,32 @@ def parse_apt(text: str, *, name: str = "program.apt") -> Program:
     Raises:
         ProgramError: If anything but plain motion is found; up to 20 faults.
     """
-    reader = _Apt()
-    held, begun = "", 0
-    for number, row in enumerate(split_lines(text, name), 1):
+    statements = list(_statements(split_lines(text, name)))
+    faults: list[Fault] = []
+    reader = _Apt(_units(statements, faults))
+    reader.out.name, reader.out.faults = name, faults
+    for statement in statements:
+        _carry_out(statement, reader)
+        if len(reader.faults) > SHOWN_FAULTS:
+            break
+    units = reader.units
+    if units.word not in ("UNITS", "UNIT"):
+        sentence = f"as {units.word} says; there is no UNITS"
+        if not units.word:
+            sentence = "there is no UNITS, and no unit of a feed says otherwise"
+        reader.out.note(f"lengths are {units.name}", sentence, max(units.line, 1))
+    return reader.out.finish(text)
+
+
+def _statements(rows: list[str]) -> Iterator[_Statement]:
+    """Yield the statements up to FINI."""
+    held, begun, is_comment = "", 0, False
+    for number, row in enumerate(rows, 1):
         if not held and (said := _TEXT.match(row)):
-            _statement(said[0].strip(), number, reader)
+            yield _Statement(said[0].strip(), number)
             continue
+        if not held and (mark := _CREO.match(row)):
+            row, is_comment = row[mark.end() :], True
         bare = row.split("$$")[0]
         # A $ goes on in the next line; what stands behind it is a comment.
         bare, dollar, _ = bare.partition("$")
@@ -71,24 +143,46 @@ def parse_apt(text: str, *, name: str = "program.apt") -> Program:
         held += bare.strip()
         if dollar:
             continue
-        statement, held = held, ""
-        if statement.upper().split("/")[0].strip() in ("FINI", "END"):
-            break
-        if statement:
-            _statement(statement, begun, reader)
-        if len(reader.faults) > SHOWN_FAULTS:
-            break
-    if reader.faults:
-        raise ProgramError(name, reader.faults)
-    return reader.out.finish(text, name)
+        statement, held = _Statement(held.strip(), begun), ""
+        if is_comment and statement.word not in _FRAMES:
+            statement = _Statement("", begun)
+        is_comment = False
+        if statement.word in ("FINI", "END"):
+            return
+        if statement.row:
+            yield statement
 
 
-def _statement(row: str, line: int, reader: _Apt) -> None:
+def _units(statements: Sequence[_Statement], faults: list[Fault]) -> _Units:
+    """Unit of the lengths: that of UNITS, or else of the feeds.
+
+    Systems write inches per minute in programs whose lengths are inches; statements of
+    both units are refused.
+    """
+    found: _Units | None = None
+    for word in (("UNITS", "UNIT"), ("FEDRAT", "CYCLE")):
+        for statement in statements:
+            if statement.word not in word:
+                continue
+            known = _UNITS if "UNITS" in word else _UNITS_OF_FEEDS
+            scales = {known[part] for part in statement.parts if part in known}
+            for scale in sorted(scales):
+                unit = _Units(scale, statement.line, statement.word)
+                found = unit if found is None else found
+                if found.scale != scale:
+                    message = f"{unit.name} contradict the {found.name} of "
+                    message += f"{found.word} in line {found.line}."
+                    faults.append(Fault(unit.line, statement.row[:40], message))
+    return _Units() if found is None else found
+
+
+def _carry_out(statement: _Statement, reader: _Apt) -> None:
     """Carry out one statement."""
-    word, _, rest = row.partition("/")
-    word = word.strip().upper()
-    parts = [part.strip().upper() for part in rest.split(",") if part.strip()]
-    if word in ("GOTO", "FROM", "GODLTA", "GOHOME", "CIRCLE"):
+    row, line = statement
+    word, parts = statement.word, statement.parts
+    if message := fault_of_statement(row):
+        reader.refuse(line, row, message)
+    elif word in ("GOTO", "FROM", "GODLTA", "GOHOME", "CIRCLE"):
         _motion(word, row, parts, line, reader)
     elif word == "RAPID":
         reader.is_rapid = True
@@ -97,15 +191,8 @@ def _statement(row: str, line: int, reader: _Apt) -> None:
     elif word in ("UNITS", "UNIT"):
         if not parts or parts[0] not in _UNITS:
             reader.refuse(line, row, f"allowed are {', '.join(_UNITS)}.")
-        else:
-            reader.scale = _UNITS[parts[0]]
     elif word == "SPINDL":
-        speeds = [part for part in parts if _is_number(part)]
-        if speeds:
-            reader.spindle = float(speeds[0])
-            if reader.feed_per_turn is not None:
-                reader.feed = reader.feed_per_turn * reader.spindle
-            reader.out.set_speed(float(speeds[0]) * 2 * math.pi / 60)
+        _set_speed(row, parts, line, reader)
     elif word == "TLAXIS":
         _set_axis(row, parts, line, reader)
     elif word == "LOADTL" or (word == "LOAD" and parts[:1] == ["TOOL"]):
@@ -115,18 +202,11 @@ def _statement(row: str, line: int, reader: _Apt) -> None:
             return
         reader.out.change_tool(round(float(numbers[0])), line)
     elif word == "DELAY" and parts and _is_number(parts[0]):
-        reader.out.rest(float(parts[0]))
+        reader.out.rest(float(parts[0]), line)
     elif word == "CYCLE":
         _cycle(row, parts, line, reader)
     elif word in _FRAMES:
-        pairs = zip(parts, _FRAMES[word], strict=False)
-        if any(_is_number(found) and float(found) != plain for found, plain in pairs):
-            message = "a frame that is moved or turned is not supported."
-            reader.refuse(line, row, message)
-        elif all(_is_number(part) for part in parts):
-            reader.out.note(word, "changes no motion here", line)
-        else:
-            reader.out.note(word, "names a frame, which is taken to be work", line)
+        _set_frame(word, row, parts, line, reader)
     elif word == "CUTCOM":
         sentence = "the points are taken to be those of the tool's centre"
         reader.out.note(word, sentence, line)
@@ -134,6 +214,37 @@ def _statement(row: str, line: int, reader: _Apt) -> None:
         reader.out.note(word.split(" ")[0], "changes no motion here", line)
     else:
         reader.refuse(line, row, "is no plain motion and is not supported.")
+
+
+def _set_speed(row: str, parts: list[str], line: int, reader: _Apt) -> None:
+    """Apply SPINDL: the speed of the spindle, if it states one."""
+    speeds = [float(part) for part in parts if _is_number(part)]
+    if not speeds:
+        return
+    if not 0 <= speeds[0] <= LARGEST_SPEED_RPM:
+        message = f"a spindle speed lies between 0 and {LARGEST_SPEED_RPM:g} rpm."
+        reader.refuse(line, row, message)
+    reader.spindle = speeds[0]
+    if reader.feed_per_turn is not None:
+        reader.feed = reader.feed_per_turn * reader.spindle
+    reader.out.set_speed(speeds[0] * 2 * math.pi / 60)
+
+
+def _set_frame(word: str, row: str, parts: list[str], line: int, reader: _Apt) -> None:
+    """Apply CSYS, MSYS or TRNTYP: one frame for all motion is `work`."""
+    frame = tuple(float(part) if _is_number(part) else part for part in parts)
+    plain = _FRAMES[word]
+    is_plain = len(frame) == len(plain) and all(
+        math.isnan(default) or value == default
+        for value, default in zip(frame, plain, strict=True)
+    )
+    frame = plain if is_plain else frame
+    if frame != reader.frames[word] and reader.out.moves:
+        message = "another frame than that of the motion before it is not supported."
+        reader.refuse(line, row, message)
+    reader.frames[word] = frame
+    sentence = "is the frame of all motion, which is taken to be work"
+    reader.out.note(word, "changes no motion here" if is_plain else sentence, line)
 
 
 def _set_axis(row: str, parts: list[str], line: int, reader: _Apt) -> None:
@@ -148,8 +259,10 @@ def _set_axis(row: str, parts: list[str], line: int, reader: _Apt) -> None:
 
 
 def _is_number(text: str) -> bool:
-    """Return whether a text is a finite number."""
-    return re.fullmatch(r"[+-]?(\d+\.?\d*|\.\d+)(E[+-]?\d+)?", text) is not None
+    """Return whether a text is a number that is not too large."""
+    if re.fullmatch(r"[+-]?(\d+\.?\d*|\.\d+)(E[+-]?\d+)?", text) is None:
+        return False
+    return abs(float(text)) <= LARGEST_NUMBER
 
 
 def _feed(row: str, parts: list[str], line: int, reader: _Apt) -> None:
@@ -177,7 +290,8 @@ def _motion(word: str, row: str, parts: list[str], line: int, reader: _Apt) -> N
     # A circle also tells its radius, tolerances and the cutter.
     counts = (6, 7, 8, 9, 10, 11) if word == "CIRCLE" else (3, 6, 7)
     if not all(_is_number(part) for part in parts) or len(parts) not in counts:
-        reader.refuse(line, row, "needed are 3 numbers, or 6 with the tool axis.")
+        message = f"needed are 3 numbers up to {LARGEST_NUMBER:g}, or 6 with the tool "
+        reader.refuse(line, row, message + "axis.")
         return
     numbers = [float(part) for part in parts]
     if word == "CIRCLE":
@@ -189,6 +303,8 @@ def _motion(word: str, row: str, parts: list[str], line: int, reader: _Apt) -> N
     x, y, z = (1e-3 * reader.scale * value for value in numbers[:3])
     point, axis = (x, y, z), reader.axis
     if word == "GODLTA":
+        if not reader.is_placed:
+            reader.refuse(line, row, "it needs a motion to a stated place before it.")
         a, b, c = reader.position
         point = (a + x, b + y, c + z)
     elif len(numbers) >= 6:
@@ -199,6 +315,11 @@ def _motion(word: str, row: str, parts: list[str], line: int, reader: _Apt) -> N
         i, j, k = (value / length for value in numbers[3:6])
         axis = (i, j, k)
     if word == "FROM":
+        if reader.out.has_section and point != reader.position:
+            message = "it tells where the tool is before a program or a tool begins; "
+            reader.refuse(line, row, message + "a motion stands before it.")
+        if message := fault_of(Move(point, point)):
+            reader.refuse(line, row, message)
         reader.position, reader.axis, reader.is_placed = point, axis, True
         reader.out.known.update("XYZ")
         return
@@ -301,7 +422,7 @@ def _drill(
         reader.line_to(at(clear - depth), axis, line, is_rapid=True)
     reader.line_to(at(-cycle["FEDTO"]), axis, line)
     if cycle.get("DWELL"):
-        reader.out.rest(cycle["DWELL"])
+        reader.out.rest(cycle["DWELL"], line)
     reader.line_to(at(above), axis, line, is_rapid=True)
     reader.feed = feed
 
@@ -311,10 +432,9 @@ def _peck_depths(cycle: dict[str, float], line: int, reader: _Apt) -> list[float
     if "1STPECK" not in cycle:
         return []
     first, step, last = cycle["1STPECK"], cycle["SUBPECK"], cycle["FEDTO"]
-    count = math.ceil((last - first) / step) if last > first else 0
-    if count > _MOST_PECKS:
-        reader.refuse(line, "CYCLE", f"a hole has at most {_MOST_PECKS} pecks.")
-        return []
+    pecks = max((last - first) / step, 0.0)
+    reader.out.reserve(3 * pecks, line)
+    count = math.ceil(pecks)
     if count:
         message = "each peck goes out to RAPTO and back to 0.254 mm above its depth"
         reader.out.note("CYCLE", message, line)

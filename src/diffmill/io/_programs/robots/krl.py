@@ -24,6 +24,7 @@ from ..geometry import (
     rotation_of_abc,
     tool_place,
 )
+from ..limits import LARGEST_NUMBER, bounded_number, fault_of_statement
 from ..text import split_lines
 from .external_axes import ExternalAxes
 from .krl_frames import KrlFrames, numbered_base
@@ -99,8 +100,6 @@ _FRAMES = frozenset(["BASE", "TOOL", "IPO_MODE"])
 # How the tool turns along a motion.
 _TURNS = frozenset(["ORI_TYPE", "CIRC_TYPE"])
 _EXTERNAL = frozenset(["E1", "E2", "E3", "E4", "E5", "E6"])
-# Larger numbers are no places [mm] and no angles [deg].
-_LARGEST = 1e6
 _CHOSEN_BY_BAS = frozenset(["VEL_CP", "CP_PARAMS", "BASE", "TOOL"])
 _JOINTS = frozenset(["A1", "A2", "A3", "A4", "A5", "A6"])
 # A spline is read as so many straight pieces between two of its points at most.
@@ -159,10 +158,13 @@ def parse_krl(
         ProgramError: If anything but plain motion is found; up to 20 faults.
     """
     reader = _Krl(tool_axis)
+    reader.out.name = name
     for number, row in enumerate(split_lines(data, name), 1):
         bare = _bare(row)
         # Other data of inline forms hold names and are of no motion.
-        if found := _FRAME_DATA.fullmatch(bare):
+        if message := fault_of_statement(bare):
+            reader.refuse(number, bare, message)
+        elif found := _FRAME_DATA.fullmatch(bare):
             reader.base_and_tool.declare(found[1], found[2])
         elif found := _LINE_DATA.fullmatch(bare):
             reader.line_data[found[1].upper()] = found[2]
@@ -178,11 +180,9 @@ def parse_krl(
             _statement(bare, number, reader)
         if len(reader.faults) > SHOWN_FAULTS:
             break
-    if reader.faults:
-        raise ProgramError(name, reader.faults)
     frames = reader.base_and_tool
     reader.note_upright_axis()
-    program = reader.out.finish(text, name)
+    program = reader.out.finish(text)
     poses = [frames.tool_pose(part.tool, reader) for part in program.sections]
     base = frames.base_pose()
     return dataclasses.replace(
@@ -219,9 +219,9 @@ def _components(text: str, line: int, reader: Reader) -> dict[str, float]:
         if match is None:
             reader.refuse(line, part, "a component is a name and a number.")
             return {}
-        value = float(match[2])
-        if not abs(value) <= _LARGEST and match[1].upper() not in _EXTERNAL:
-            reader.refuse(line, part, f"a component is {_LARGEST:g} at most.")
+        value = bounded_number(match[2])
+        if math.isnan(value):
+            reader.refuse(line, part, f"a number is {LARGEST_NUMBER:g} at most.")
             return {}
         found[match[1].upper()] = value
     return found
@@ -230,7 +230,9 @@ def _components(text: str, line: int, reader: Reader) -> dict[str, float]:
 def _statement(row: str, line: int, reader: _Krl) -> None:
     """Carry out one statement."""
     word = row.split()[0].split("(")[0].upper()
-    if word in ("DEF", "GLOBAL") and "DEF" in row.upper():
+    if message := fault_of_statement(row):
+        reader.refuse(line, row, message)
+    elif word in ("DEF", "GLOBAL") and "DEF" in row.upper():
         if reader.out.moves:
             reader.refuse(line, row, "one DEF per file is read; write calls out.")
     elif word == "END":
@@ -260,7 +262,7 @@ def _statement(row: str, line: int, reader: _Krl) -> None:
     elif found := _TIME.fullmatch(row):
         _time_block(found, line, reader)
     elif found := _WAIT.fullmatch(row):
-        reader.rest(float(found[1]), row, line)
+        reader.out.rest(float(found[1]), line, row)
     elif found := _MOTION.fullmatch(row):
         _motion(found[1].upper(), found[3], line, reader, is_relative=bool(found[2]))
     elif (found := _SCALAR.fullmatch(row)) and _set_scalar(found, line, reader):
@@ -455,7 +457,7 @@ def _motion(
         reader.spline[-1].through = _place(middle, reader).tip
         reader.spline[-1].feed = reader.feed
     elif kind in ("CIRC", "SCIRC"):
-        angle = None if turn is None else math.radians(float(turn[1]))
+        angle = None if turn is None else math.radians(bounded_number(turn[1]))
         through, axis = _place(middle, reader).tip, place.axis
         reader.arc_to(through, place.tip, axis, line, angle=angle, tool_x=place.tool_x)
         x, y, z = (1e3 * value for value in reader.position)
@@ -521,7 +523,7 @@ def _time_block(found: re.Match[str], line: int, reader: _Krl) -> None:
     if reader.spline is None:
         reader.refuse(line, found[0], "TIME_BLOCK stands in a SPLINE block.")
     elif found[2] is not None and reader.spline:
-        reader.spline[-1].share = float(found[2])
+        reader.spline[-1].share = bounded_number(found[2])
     elif found[3] is not None and reader.spline:
         shares = [knot.share for knot in reader.spline]
         if math.isnan(shares[-1]) and len(shares) > 1:
@@ -533,7 +535,7 @@ def _time_block(found: re.Match[str], line: int, reader: _Krl) -> None:
             reader.refuse(line, found[0], message)
             return
         for knot, share in zip(reader.spline, shares, strict=True):
-            knot.share = float(found[3]) * share / sum(shares)
+            knot.share = bounded_number(found[3]) * share / sum(shares)
 
 
 def _spline(word: str, row: str, line: int, reader: _Krl) -> None:

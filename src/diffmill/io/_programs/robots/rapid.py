@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from ....toolpath import Point, Program
 from ..expressions import split_arguments, value_of
-from ..faults import SHOWN_FAULTS, ProgramError
+from ..faults import SHOWN_FAULTS
 from ..geometry import (
     ToolAxis,
     ToolPlace,
@@ -24,6 +24,7 @@ from ..geometry import (
     tool_place,
     tool_rotation,
 )
+from ..limits import bounded_number, fault_of_statement
 from ..text import split_lines
 from .external_axes import ExternalAxes
 from .reader import Reader
@@ -57,10 +58,10 @@ _QUIET = re.compile(
     re.IGNORECASE | re.DOTALL,
 )
 _WRIST = re.compile(r"SingArea\s*\\Wrist", re.IGNORECASE)
-# Deeper than this nobody nests offsets.
-_DEEPEST = 10
 _WAIT = re.compile(rf"WaitTime\s*(?:\\InPos\s*,\s*)?({_NUMBER})", re.IGNORECASE)
 _FASTEST = 5.0
+# A controller wants a length of 1.
+_LEAST_QUATERNION = 1e-3
 
 
 class _Rapid(Reader):
@@ -138,14 +139,13 @@ def parse_rapid(
         ProgramError: If anything but plain motion is found; up to 20 faults.
     """
     reader = _Rapid(tool_axis)
+    reader.out.name = name
     for line, statement in _statements(split_lines(text, name)):
         _statement(statement, line, reader)
         if len(reader.faults) > SHOWN_FAULTS:
             break
-    if reader.faults:
-        raise ProgramError(name, reader.faults)
     reader.note_upright_axis()
-    program = reader.out.finish(text, name)
+    program = reader.out.finish(text)
     if reader.work_object is not None:
         data = reader.work_objects.get(reader.work_object)
         pose = None if data is None else data.pose()
@@ -198,7 +198,9 @@ def _statement(row: str, line: int, reader: _Rapid) -> None:
     """Carry out one statement."""
     if not row:
         return
-    if _FRAME.fullmatch(row):
+    if message := fault_of_statement(row):
+        reader.refuse(line, row, message)
+    elif _FRAME.fullmatch(row):
         reader.procedures += row.upper().startswith("PROC")
         if reader.procedures > 1:
             reader.refuse(line, row, "one PROC per module is read; write calls out.")
@@ -215,7 +217,7 @@ def _statement(row: str, line: int, reader: _Rapid) -> None:
     elif (found := _ASSIGNED.fullmatch(row)) and found[1].lower() in reader.targets:
         reader.targets[found[1].lower()] = _pose(found[2], line, reader)
     elif found := _WAIT.fullmatch(row):
-        reader.rest(float(found[1]), row, line)
+        reader.out.rest(float(found[1]), line, row)
     elif found := _OVERRIDE.fullmatch(row):
         _set_override(found[1], row, line, reader)
     elif found := _QUIET.fullmatch(row):
@@ -286,25 +288,18 @@ def _set_component(found: re.Match[str], line: int, reader: _Rapid) -> None:
 def _numbers(text: str, count: int, line: int, reader: Reader) -> list[float]:
     """Return the numbers of nested lists, brackets aside."""
     parts = text.replace("[", " ").replace("]", " ").split(",")
-    try:
-        found = [float(part) for part in parts]
-    except ValueError:
-        found = []
-    if len(found) != count or not all(map(math.isfinite, found)):
+    found = [bounded_number(part) for part in parts]
+    if len(found) != count or any(map(math.isnan, found)):
         reader.refuse(line, text, f"needed are {count} numbers in brackets.")
         return [0.0] * 3 + [0.0, 0.0, 1.0, 0.0] + [0.0] * (count - 7)
     return found
 
 
-def _pose(text: str, line: int, reader: _Rapid, depth: int = 0) -> list[float]:
+def _pose(text: str, line: int, reader: _Rapid) -> list[float]:
     """Return the numbers of a target: a name, numbers, or one that is moved."""
     text = text.split("\\ID")[0].strip()
     if found := _OFFSET.fullmatch(text):
-        if depth < _DEEPEST:
-            return _moved(found, line, reader, depth)
-        message = f"Offs and RelTool stand in one another {_DEEPEST} times at most."
-        reader.refuse(line, text, message)
-        return [0.0] * 3 + [0.0, 1.0] + [0.0] * 12
+        return _moved(found, line, reader)
     if text.startswith("["):
         return _numbers(text, 17, line, reader)
     values = reader.targets.get(text.replace(" ", "").lower())
@@ -315,19 +310,20 @@ def _pose(text: str, line: int, reader: _Rapid, depth: int = 0) -> list[float]:
     return values
 
 
-def _moved(found: re.Match[str], line: int, reader: _Rapid, depth: int) -> list[float]:
+def _moved(found: re.Match[str], line: int, reader: _Rapid) -> list[float]:
     """Return a target moved along the axes of the work object, or of the tool."""
     from scipy.spatial.transform import Rotation
 
     turns = [(name.lower(), value) for name, value in _TURN.findall(found[2])]
     first, *moved = split_arguments(_TURN.sub("", found[2]))
-    values = list(_pose(first, line, reader, depth + 1))
+    values = list(_pose(first, line, reader))
     way = np.array([value_of(part, reader.numbers) for part in moved if part])
     angles = {name[1]: value_of(value, reader.numbers) for name, value in turns}
     if way.shape != (3,) or not np.isfinite([*way, *angles.values()]).all():
         reader.refuse(line, found[0], "needed are a robtarget and 3 numbers.")
         return values
-    if found[1].lower() == "offs" or not any(values[3:7]):
+    is_turned = math.hypot(*values[3:7]) >= _LEAST_QUATERNION
+    if found[1].lower() == "offs" or not is_turned:
         return [*(np.array(values[:3]) + way), *values[3:]]
     w, x, y, z = values[3:7]
     pose = Rotation.from_quat([x, y, z, w])
@@ -341,7 +337,7 @@ def _moved(found: re.Match[str], line: int, reader: _Rapid, depth: int) -> list[
 def _target(text: str, line: int, reader: _Rapid) -> ToolPlace:
     values = _pose(text, line, reader)
     x, y, z = (1e-3 * value for value in values[:3])
-    if not sum(value**2 for value in values[3:7]) > 0:
+    if math.hypot(*values[3:7]) < _LEAST_QUATERNION:
         reader.refuse(line, text, "the quaternion has no length.")
         return ToolPlace((x, y, z), reader.axis)
     names = [f"external axis {number}" for number in "abcdef"]

@@ -8,9 +8,6 @@ from ..faults import Fault
 from ..geometry import ToolAxis, circle_through, controller_matrix, rotated
 from ..move_list import MoveList
 
-_FARTHEST = 100.0
-# No milling robot has such a feed [m/s] or rest [s].
-_FASTEST, _LONGEST_REST = 5.0, 60.0
 # Height of a unit axis from tip to shank that lies flat, and of one from shank to tip
 # that leans from -z by less than 45 degrees.
 _FLAT, _STEEP = 0.17, -0.7
@@ -18,7 +15,7 @@ _FLAT, _STEEP = 0.17, -0.7
 
 @dataclass
 class Reader:
-    """Where the tool is while a program is read, the moves and the faults so far.
+    """Where the tool is while a program is read, and the moves so far.
 
     Attributes:
         position: Tool tip [m], and whether a motion has brought it there.
@@ -29,13 +26,17 @@ class Reader:
     """
 
     out: MoveList = field(default_factory=MoveList)
-    faults: list[Fault] = field(default_factory=list)
     position: Point = (0.0, 0.0, 0.0)
     axis: Point = (0.0, 0.0, 1.0)
     tool_x: Point | None = None
     tool_axis: ToolAxis = "z"
     is_placed: bool = False
     feed: float | None = None
+
+    @property
+    def faults(self) -> list[Fault]:
+        """The faults so far."""
+        return self.out.faults
 
     def refuse(self, line: int, word: str, message: str) -> None:
         """Report a fault."""
@@ -49,20 +50,7 @@ class Reader:
         if not 0 < feed < math.inf:
             message = "a speed is above 0, in numbers or declared ones with + - * /."
             self.refuse(line, word, message)
-        elif feed > _FASTEST:
-            sentence = f"is {feed:g} m/s, more than {_FASTEST:g} m/s: see to its unit"
-            self.out.note(word, sentence, line)
         self.feed = feed
-
-    def rest(self, seconds: float, word: str, line: int) -> None:
-        """Let the tool stay where it is."""
-        if not 0 <= seconds < math.inf:
-            self.refuse(line, word, "a rest is 0 s or longer.")
-            return
-        if seconds > _LONGEST_REST:
-            sentence = f"rests for {seconds:g} s, which is more than a minute"
-            self.out.note(word, sentence, line)
-        self.out.rest(seconds)
 
     def note_upright_axis(self) -> None:
         """Note the axis of the tool along which the cutter would stand upright.
@@ -109,7 +97,6 @@ class Reader:
         """Make a straight move; from an unknown place it is an approach."""
         is_rapid |= not self.is_placed
         feed = None if is_rapid else self._feed(line, duration)
-        self._check(end, line)
         move = Move(self.position, end, feed=feed, is_rapid=is_rapid, line=line)
         duration = None if is_rapid else duration
         move = move._replace(duration=duration, axis=axis, tool_x=tool_x)
@@ -138,14 +125,13 @@ class Reader:
             self.refuse(line, "", "an arc needs a motion to a stated place before it.")
         turns = 1
         if angle is not None:
-            if angle == 0:
+            if angle == 0 or math.isnan(angle):
                 self.refuse(line, "", "an arc has an angle other than 0.")
                 return
             if angle < 0:
                 normal = (-normal[0], -normal[1], -normal[2])
             end = rotated(self.position, centre, normal, abs(angle))
             turns = max(1, math.ceil(abs(angle) / (2 * math.pi) - 1e-9))
-        self._check(end, line)
         feed = self._feed(line, duration)
         move = Move(self.position, end, centre, turns, feed, duration, line=line)
         self.out.add(move._replace(normal=normal, axis=axis, tool_x=tool_x), "")
@@ -158,8 +144,3 @@ class Reader:
         if self.feed is None:
             self.refuse(line, "", "there is no speed; needed is one before this line.")
         return self.feed
-
-    def _check(self, end: Point, line: int) -> None:
-        """Report a place that is too far away."""
-        if not all(abs(value) <= _FARTHEST for value in end):
-            self.refuse(line, "", f"a position is {_FARTHEST:g} m at most.")

@@ -5,6 +5,18 @@ from dataclasses import dataclass, field
 from ..faults import Fault
 from .words import Word
 
+# Codes of other controllers that end what has no beginning here, by modal group.
+_CANCELLING = {
+    51: "look-ahead",
+    131: "polar interpolation",
+    150: "polar coordinates",
+    401: "normal direction",
+    500: "scaling",
+    501: "mirror image",
+    670: "modal macro",
+    690: "rotation",
+}
+CANCELLED = frozenset(_CANCELLING.values())
 # G codes times ten, by modal group; "once" are those that hold for one block.
 _G_GROUPS = {
     **dict.fromkeys([0, 10, 20, 30, 730, 800, 810, 820, 830, 850, 860, 890], "motion"),
@@ -23,6 +35,8 @@ _G_GROUPS = {
     **dict.fromkeys([960, 970], "spindle mode"),
     80: "diameter",
     **dict.fromkeys([980, 990], "retract"),
+    1870: "smoothing",
+    **_CANCELLING,
 }
 _M_GROUPS = {
     **dict.fromkeys([0, 1, 2, 30, 60], "end"),
@@ -40,21 +54,27 @@ _WHY_NOT = {
     420: "program the path of the tool's centre",
     **dict.fromkeys([380, 382, 383, 384, 385], "where a probe touches is not known"),
     **dict.fromkeys([330, 331, 740, 840], "threads are not simulated"),
-    **dict.fromkeys([650, 660, 670], "write the blocks of the macro out"),
-    **dict.fromkeys([50, 51, 52, 53], "write the spline as arcs or lines"),
+    **dict.fromkeys([650, 660], "write the blocks of the macro out"),
+    **dict.fromkeys([50, 52, 53], "write the spline as arcs or lines"),
     **dict.fromkeys([760, 870, 880], "this cycle stops for the spindle or an operator"),
     70: "this is a diameter on a lathe",
 }
 _LETTERS = frozenset("NXYZIJKRFSTPQLHD")
 _ROTARY = frozenset("ABC")
-# Words of these M codes are no words of a motion.
-_OWN_WORDS = {"orientation": "PQR", "signals": "ELPQ", "overrides": "P"}
+# Words of these codes are no words of a motion.
+_OWN_WORDS = {
+    "orientation": "PQR",
+    "signals": "ELPQ",
+    "overrides": "P",
+    "smoothing": "PE",
+}
 ALLOWED_WORDS = (
-    "N, G0 to G4, G8, G10 L2 and L20, G17 to G21, G28, G28.1, G30, G30.1, G40, G43 to "
-    "G43.2, G49, G52 to G59.3, G61, G61.1, G64, G73, G80 to G83, G85, G86, G89, G90, "
-    "G90.1, G91, G91.1, G92 to G92.3, G93 to G99, X, Y, Z, I, J, K, R, P, Q, L, F, S, "
-    "T, H, D, E, M0 to M9, M19, M30, M48 to M53, M60 to M68, A0, B0, C0, a program "
-    "number O, block delete /, comments ( ) and ;, and a line of % before and after"
+    "N, G0 to G4, G5.1 Q0, G8, G10 L2 and L20, G13.1, G15, G17 to G21, G28, G28.1, "
+    "G30, G30.1, G40, G40.1, G43 to G43.2, G49, G50, G50.1, G52 to G59.3, G61, G61.1,"
+    " G64, G67, G69, G73, G80 to G83, G85, G86, G89, G90, G90.1, G91, G91.1, G92 to "
+    "G92.3, G93 to G99, G187, X, Y, Z, I, J, K, R, P, Q, L, F, S, T, H, D, E, M0 to "
+    "M9, M19, M30, M48 to M53, M60 to M68, A0, B0, C0, a program number O, block "
+    "delete /, comments ( ) and ;, and a line of % before and after"
 )
 
 
@@ -100,7 +120,10 @@ def sorted_block(words: list[Word], line: int, faults: list[Fault]) -> Block:
     """Return the words of a line by their meaning; report those that have none."""
     block = Block(line)
     codes = [round(word.number) for word in words if word.letter == "M"]
-    own = "".join(_OWN_WORDS.get(_M_GROUPS.get(code, ""), "") for code in codes)
+    groups = [_M_GROUPS.get(code, "") for code in codes]
+    if any(word.letter == "G" and word.number == 187 for word in words):
+        groups.append("smoothing")
+    own = "".join(_OWN_WORDS.get(group, "") for group in groups)
     for index, word in enumerate(words):
         letter = word.letter
         if letter in own:

@@ -19,7 +19,6 @@ _WITH_REST = frozenset([820, 860, 890])
 _WITH_PECK = frozenset([730, 830])
 # How far above the last depth, or how far out, a peck goes by rapid [inch].
 _CLEARANCE = 0.01
-_MOST_PLUNGES = 100_000
 
 # Makes a move to a point; the flag tells whether it is rapid.
 Go = Callable[[list[float], bool], None]
@@ -61,16 +60,13 @@ def run_cycle(block: Block, state: State, go: Go, faults: list[Fault]) -> None:
     at[depth] = max(at[depth], clear)
     count = 1 if repeats is None else int(repeats)
     pecks = (retract - bottom) / cycle.peck if state.motion in _WITH_PECK else 1
-    if count * pecks > _MOST_PLUNGES:
-        message = f"the cycle has more than {_MOST_PLUNGES} plunges."
-        faults.append(Fault(block.line, motion_text(block), message))
-        return
+    state.out.reserve(3 * count * pecks, block.line)
     for _ in range(count):
         place = [a + b for a, b in zip(place, step, strict=True)]
         go(_at(place, at[depth], depth), True)
         if at[depth] != retract:
             go(_at(place, retract, depth), True)
-        _plunge(state, cycle, place, go)
+        _plunge(state, cycle, place, block.line, go)
         if state.motion == 850:
             go(_at(place, retract, depth), False)
         go(_at(place, clear, depth), state.motion != 890)
@@ -82,7 +78,12 @@ def _take_words(block: Block, state: State) -> None:
     cycle = state.cycle
     if math.isnan(cycle.level):
         cycle.level = state.position[state.plane]
-    words = {"bottom": AXES[state.plane], "retract": "R", "rest": "P", "peck": "Q"}
+    words = {"bottom": AXES[state.plane], "retract": "R"}
+    # Words of other cycles stay unused, and are reported as such.
+    if state.motion in _WITH_REST:
+        words["rest"] = "P"
+    if state.motion in _WITH_PECK:
+        words["peck"] = "Q"
     for name, letter in words.items():
         if (number := block.number(letter)) is not None:
             setattr(cycle, name, number)
@@ -142,7 +143,7 @@ def _at(place: list[float], depth: float, axis: int) -> list[float]:
     return point
 
 
-def _plunge(state: State, cycle: Cycle, place: list[float], go: Go) -> None:
+def _plunge(state: State, cycle: Cycle, place: list[float], line: int, go: Go) -> None:
     """Make the moves from the retract plane to the bottom of a hole."""
     depth, retract, bottom = state.plane, cycle.retract, cycle.bottom
     if state.motion in _WITH_PECK:
@@ -156,4 +157,4 @@ def _plunge(state: State, cycle: Cycle, place: list[float], go: Go) -> None:
             level -= cycle.peck
     go(_at(place, bottom, depth), False)
     if state.motion in _WITH_REST:
-        state.out.rest(cycle.rest)
+        state.out.rest(cycle.rest, line)

@@ -6,12 +6,11 @@ from collections.abc import Collection
 from typing import NamedTuple
 
 from ..faults import Fault
-from ..text import split_lines
-from .words import Word, split_words
+from ..text import plain_number, split_lines
+from .words import Word, split_comments, split_words
 
 # Lines of motion alone are most of a program.
 _SAYS = re.compile(r"[(;MmSsTtHh]|[Gg][\s0]*(?:2\s*[01]|4\s*[39])")
-_COMMENT = re.compile(r"\(([^()]*)\)|;(.*)")
 _PROGRAM_NUMBER = re.compile(r"\s*[oO:]")
 _MOVES = frozenset("XYZ")
 _COOLANT = (7, 8, 9)
@@ -87,11 +86,10 @@ class _Said:
         values = {word.letter: word.number for word in words}
         if keys & {"M6", "M61"}:
             self._drop_other_tools(number)
-        for match in _COMMENT.finditer(text):
-            comment = (match[1] or match[2] or "").strip()
-            if comment and not self.has_moved:
+        for comment in filter(None, split_comments(text, number, []).texts):
+            if not self.has_moved:
                 self.header.append(comment)
-            elif comment and number <= self.last:
+            elif number <= self.last:
                 self.between.append((number, comment_block(comment)))
         for word in words:
             self._word(number, word)
@@ -127,17 +125,18 @@ class _Said:
         if "M61" in keys and "Q" in values:
             # Right behind a change it is the number of what has been loaded.
             before = [] if self.has_moved else self.loaded
-            self.loaded = [*before, f"M61 Q{values['Q']:.12g}"]
+            self.loaded = [*before, f"M61 Q{plain_number(values['Q'])}"]
 
     def _take_length(self, keys: set[str], values: dict[str, float]) -> None:
         """Take in the length of a tool, in millimetres."""
         if keys & {"G20", "G21"}:
             self.scale = _MM_PER_INCH if "G20" in keys else 1.0
-        number = f" H{values['H']:.12g}" if "H" in values else ""
+        number = f" H{plain_number(values['H'])}" if "H" in values else ""
         if "G43" in keys:
             self.lengths = [f"G43{number}"]
         elif "G43.1" in keys and "Z" in values:
-            self.lengths = [f"G43.1 Z{round(values['Z'] * self.scale, 6):.12g}"]
+            length = round(values["Z"] * self.scale, 6)
+            self.lengths = [f"G43.1 Z{plain_number(length)}"]
         elif "G43.2" in keys:
             self.lengths.append(f"G43.2{number}")
         elif "G49" in keys:
@@ -171,10 +170,11 @@ class _Said:
 
 def _key(word: Word) -> str:
     """Return a word as text, a whole number as such."""
-    return f"{word.letter}{word.number:.12g}"
+    return f"{word.letter}{plain_number(word.number)}"
 
 
 def comment_block(text: str) -> str:
-    """Return text as a comment on one line."""
+    """Return text as a comment on one line, without what a terminal would obey."""
     plain = " ".join(text.split()).replace("(", "[").replace(")", "]")
+    plain = "".join(letter if letter.isprintable() else "?" for letter in plain)
     return f"({plain.encode('ascii', errors='replace').decode('ascii')})"

@@ -11,40 +11,43 @@ import re
 
 from ....toolpath import Move, Point, Program
 from ..faults import SHOWN_FAULTS, Fault, ProgramError
+from ..limits import FARTHEST, LARGEST_SPEED_RPM
 from ..setup import ProgramSetup
 from ..text import split_lines
 from .arcs import (
     INCH_TOLERANCE,
     MM_TOLERANCE,
     ArcError,
+    Point2,
     centre_from_offset,
     centre_from_radius,
 )
-from .blocks import ALLOWED_WORDS, Block, sorted_block
+from .blocks import ALLOWED_WORDS, CANCELLED, Block, sorted_block
 from .cycles import CYCLES, run_cycle
 from .offsets import choose_system, compensate_length, offset_axes, set_data
 from .pace import Pace, find_pace, motion_text, set_feed
 from .state import (
     AXES,
     MM_PER_INCH,
+    NO_MACHINE_ZERO,
     Cycle,
     State,
     find_shift,
+    lose_place,
     machine_zero,
     metres,
     new_state,
+    require_place,
     tuple3,
 )
 from .words import split_words
 
 # Refused codes after which the position and the motion mode are still known.
 _HARMLESS = frozenset([410, 420])
-_LARGEST_POSITION_MM = 1e5
-_LARGEST_SPEED_RPM = 1e6
-_LONGEST_REST = 1e6
 _NORMALS = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 _CENTRE_WORDS = "IJK"
 _PROGRAM_NUMBER = re.compile(r"\s*[oO]\s*\d+\s*(\(.*|;.*)?")
+_NESTED = re.compile(r"\([^);]*\(")
 _NO_MOTION = {
     "end": "stops for the operator, which takes no time here",
     "spindle": "the cutter is taken to be made for a spindle that turns this way",
@@ -58,6 +61,8 @@ _NO_MOTION = {
     "orientation": "the spindle stands where the cutter does not cut",
     "signals": "inputs and outputs change no motion, and no wait takes time here",
     "diameter": "X is a radius",
+    "smoothing": "corners are as [program] corner_tolerance says",
+    **dict.fromkeys(CANCELLED, "ends what is off here anyway"),
 }
 
 
@@ -87,8 +92,8 @@ def parse_gcode(
     setup = ProgramSetup() if setup is None else setup
     if feed is not None:
         setup = ProgramSetup(**{**vars(setup), "feed": feed})
-    faults: list[Fault] = []
     state = new_state(setup)
+    state.out.name, faults = name, state.out.faults
     is_wrapped = is_closed = False
     is_first = True
     for number, row in enumerate(split_lines(text, name), 1):
@@ -97,7 +102,7 @@ def parse_gcode(
             is_closed = is_wrapped
             is_wrapped = True
         elif bare:
-            faults.extend(_run_line(bare, number, state))
+            faults += _run_line(bare, number, state)
         is_first = is_first and not bare
         if is_closed or state.is_ended:
             break
@@ -108,7 +113,7 @@ def parse_gcode(
         faults.append(Fault(0, "", message))
     if faults:
         raise ProgramError(name, faults, ALLOWED_WORDS)
-    return state.out.finish(text, name)
+    return state.out.finish(text)
 
 
 def _run_line(row: str, number: int, state: State) -> list[Fault]:
@@ -126,6 +131,9 @@ def _run_line(row: str, number: int, state: State) -> list[Fault]:
             state.out.note(row.split("(")[0].strip(), "is a program number", number)
             return []
     faults: list[Fault] = []
+    if _NESTED.search(row):
+        sentence = "has brackets in it, and ends where all of them are closed"
+        state.out.note("a comment", sentence, number)
     words = split_words(row, number, faults)
     if not words and not faults:
         return faults
@@ -191,8 +199,24 @@ def _set_modes(block: Block, state: State, faults: list[Fault]) -> None:
     _note_codes(block, codes, "G", state)
     if "path control" in codes:
         block.used.update("PQ")
+    if not CANCELLED.isdisjoint(codes):
+        _check_cancelling(block, faults)
     if codes.get("cutter radius") == 400 or "refused" in codes:
         block.used.add("D")
+
+
+def _check_cancelling(block: Block, faults: list[Fault]) -> None:
+    """Report words that make another code of one that ends something."""
+    codes = block.g
+    if "look-ahead" in codes and block.number("Q") != 0:
+        message = "G5.1 is supported as G5.1 Q0, which ends the look-ahead; write a "
+        message += "spline as arcs or lines."
+        faults.append(Fault(block.line, block.texts["look-ahead"], message, True))
+    for group in ("scaling", "mirror image"):
+        # On a lathe G50 sets zeros and limits the spindle.
+        if group in codes and {*"XYZS"} & set(block.values) and "motion" not in codes:
+            message = "it is supported without X, Y, Z and S, as the end of a scaling."
+            faults.append(Fault(block.line, block.texts[group], message, True))
 
 
 def _note_codes(block: Block, codes: dict[str, int], letter: str, state: State) -> None:
@@ -208,11 +232,12 @@ def _note_codes(block: Block, codes: dict[str, int], letter: str, state: State) 
 def _rest(block: Block, state: State, faults: list[Fault]) -> None:
     """Apply G4."""
     duration = block.number("P")
-    if duration is None or duration < 0 or duration > _LONGEST_REST:
-        message = f"a rest needs a P from 0 to {_LONGEST_REST:g} s."
-        faults.append(Fault(block.line, block.texts["once"], message))
+    word = block.texts["once"]
+    if duration is None:
+        message = "a rest needs a P, its seconds."
+        faults.append(Fault(block.line, word, message))
         return
-    state.out.rest(duration)
+    state.out.rest(duration, block.line, word)
 
 
 def _set_tool(block: Block, state: State, faults: list[Fault]) -> None:
@@ -246,8 +271,8 @@ def _set_speed(block: Block, state: State, faults: list[Fault]) -> None:
     number = block.number("S")
     if number is None:
         return
-    if not 0 <= number <= _LARGEST_SPEED_RPM and not math.isnan(number):
-        message = f"a spindle speed lies between 0 and {_LARGEST_SPEED_RPM:g} rpm."
+    if not 0 <= number <= LARGEST_SPEED_RPM and not math.isnan(number):
+        message = f"a spindle speed lies between 0 and {LARGEST_SPEED_RPM:g} rpm."
         faults.append(Fault(block.line, block.values["S"].text, message))
     if state.is_surface_speed:
         return
@@ -271,6 +296,7 @@ def _once(block: Block, state: State, faults: list[Fault]) -> None:
     elif code in (280, 300):
         _return_home(block, state, faults)
     elif code in (281, 301):
+        require_place(AXES, block.texts["once"], block, state, faults)
         x, y, z = state.position
         z += _known_length(block, state, faults)
         state.references[code == 301] = x, y, z
@@ -284,24 +310,42 @@ def _return_home(block: Block, state: State, faults: list[Fault]) -> None:
     """Go to a reference point of the machine, through the point of the axis words."""
     is_second = block.g["once"] == 300
     reference = state.references[is_second]
-    if reference is None:
-        zero = machine_zero(block, block.texts["once"], state, faults)
-        if zero is not None:
-            stated = state.setup.reference_points[is_second]
-            reference = tuple3(a + 1e3 * b for a, b in zip(zero, stated, strict=True))
+    zero = state.setup.machine_zero
+    if reference is None and zero is not None:
+        places = zip(zero, state.setup.reference_points[is_second], strict=True)
+        reference = tuple3(1e3 * (a + b) for a, b in places)
     axes = block.axes()
     through = _end_point(block, state, faults)
     if reference is None:
-        state.position = through
+        if through != state.position:
+            axes_stated = "" if state.is_incremental else "".join(axes)
+            _go(block, state, through, Pace(), axes_stated)
+        _leave("".join(axes) or AXES, block, state)
         return
     home = list(through)
     for axis, letter in enumerate(AXES):
         if letter in axes or not axes:
             home[axis] = reference[axis]
+            state.unknown.pop(letter, None)
     if "Z" in axes or not axes:
         home[2] -= _known_length(block, state, faults)
     _go(block, state, through, Pace(), "")
     _go(block, state, tuple3(home), Pace(), "".join(axes) or AXES)
+
+
+def _leave(axes: str, block: Block, state: State) -> None:
+    """Leave by rapid for a place of the machine that is not known."""
+    word = f"G{block.g['once'] // 10}"
+    sentence = (
+        "goes to a place of the machine; without its zero ([program] machine_zero in a "
+        "job) this way is left out"
+    )
+    state.out.note(word, sentence, block.line)
+    if state.out.has_section and not state.out.moves[-1].is_rapid:
+        text = block.texts["once"]
+        message = f"{NO_MACHINE_ZERO} The tool leaves a cut by it, and cuts again."
+        state.unknown_exits[state.out.tool] = Fault(block.line, text, message)
+    lose_place(axes, word, block, state)
 
 
 def _known_length(block: Block, state: State, faults: list[Fault]) -> float:
@@ -322,6 +366,10 @@ def _move(block: Block, state: State, faults: list[Fault]) -> None:
     motion = block.g.get("motion")
     if motion is not None:
         _choose_motion(motion, state)
+    elif axes and state.motion == 800 and state.plain_motion is not None:
+        state.motion = state.plain_motion
+        sentence = f"G{state.motion // 10} goes on behind it, where no motion is chosen"
+        state.out.note("G80", sentence, block.line)
     motion = state.motion
     is_arc = motion in (20, 30)
     if not axes and not _moves_without_axes(block, is_arc):
@@ -334,14 +382,23 @@ def _move(block: Block, state: State, faults: list[Fault]) -> None:
     if motion is None or motion == 800:
         if not block.is_g_refused:
             message = "no motion is chosen yet; needed is a G0, G1, G2 or G3 before."
+            if block.g.get("motion") == 800:
+                message = "G80 moves nothing; needed is a G0, G1, G2 or G3 with it, or "
+                message += "a line of its own for the motion."
             faults.append(Fault(block.line, values[axes[0]].text, message))
             block.used.update(values)
         motion = -1
     if motion in CYCLES:
         _cycle(block, state, faults)
         return
-    was_unknown = state.is_height_unknown
     is_machine = block.g.get("once") == 530
+    if motion in (10, 20, 30):
+        _require_way(block, state, faults)
+    if is_machine and motion == 0 and state.setup.machine_zero is None:
+        if axes and not state.is_incremental:
+            block.used.update(axes)
+            _leave("".join(axes), block, state)
+            return
     end = (
         _machine_point(block, state, faults)
         if is_machine
@@ -352,8 +409,6 @@ def _move(block: Block, state: State, faults: list[Fault]) -> None:
         return
     pace = Pace()
     if motion != 0:
-        if was_unknown:
-            _report_height(block, state, faults)
         pace = find_pace(block, state, faults)
     axes_stated = "" if state.is_incremental and not is_machine else "".join(axes)
     if is_arc:
@@ -364,6 +419,8 @@ def _move(block: Block, state: State, faults: list[Fault]) -> None:
 
 def _choose_motion(motion: int, state: State) -> None:
     """Apply a motion code; a cycle forgets the words of another one."""
+    if motion not in (800, *CYCLES):
+        state.plain_motion = motion
     if motion != state.motion:
         is_series = motion in CYCLES and state.motion in CYCLES
         state.cycle = Cycle(state.cycle.level if is_series else math.nan)
@@ -379,14 +436,12 @@ def _moves_without_axes(block: Block, is_arc: bool) -> bool:
     return is_arc and any(letter in block.values for letter in "IJKR")
 
 
-def _report_height(block: Block, state: State, faults: list[Fault]) -> None:
-    """Report a feed motion whose height depends on a tool length that is not known."""
-    message = (
-        "the tool's height is not known after G43 or G49; needed is a Z before it, "
-        "or the tool's length (in a job: [program] tool_lengths)."
-    )
-    faults.append(Fault(block.line, motion_text(block), message))
-    state.is_height_unknown = False
+def _require_way(block: Block, state: State, faults: list[Fault]) -> None:
+    """Report a cut from a place that is not known, or behind a way that is not."""
+    if state.unknown:
+        require_place(AXES, motion_text(block), block, state, faults)
+    if fault := state.unknown_exits.pop(state.out.tool, None):
+        faults.append(fault)
 
 
 def _go(block: Block, state: State, end: Point, pace: Pace, axes: str) -> None:
@@ -410,8 +465,7 @@ def _go(block: Block, state: State, end: Point, pace: Pace, axes: str) -> None:
 
 def _cycle(block: Block, state: State, faults: list[Fault]) -> None:
     """Carry out a canned cycle."""
-    if state.is_height_unknown:
-        _report_height(block, state, faults)
+    _require_way(block, state, faults)
     pace = find_pace(block, state, faults) if state.feed_mode != 930 else Pace()
     axes = "" if state.is_incremental else "".join(block.axes())
 
@@ -462,11 +516,11 @@ def _end_point(block: Block, state: State, faults: list[Fault]) -> Point:
             end[axis] += value
         else:
             end[axis] = value + shift[axis]
-            if axis == 2:
-                state.is_height_unknown = False
-        if abs(end[axis]) > _LARGEST_POSITION_MM:
-            message = f"a position is {_LARGEST_POSITION_MM / 1e3:g} m at most."
+            state.unknown.pop(letter, None)
+        if abs(end[axis]) > FARTHEST * 1e3:
+            message = f"a position is {FARTHEST:g} m at most."
             faults.append(Fault(block.line, word.text, message))
+            end[axis] = math.nan
     return end[0], end[1], end[2]
 
 
@@ -516,10 +570,14 @@ def _centre(
     radius = block.number("R")
     plane = AXES[min(first, second)] + AXES[max(first, second)]
     shown, message = motion_text(block), ""
-    if across in values:
+    if block.number(across) == 0:
+        sentence = f"an arc in the {plane} plane has no {across}; 0 changes nothing"
+        state.out.note(values[across].text, sentence, block.line)
+    elif across in values:
         shown = values[across].text
         message = f"an arc in the {plane} plane has no {across}."
-        block.used.add(across)
+    if message:
+        pass
     elif radius is not None and found != [None, None]:
         shown, message = values["R"].text, "an arc has either R, or its centre."
     elif radius is None and found == [None, None]:
@@ -549,11 +607,36 @@ def _centre(
                 )
             centre = centre_from_offset(begin, last, offset, tolerance)
     except ArcError as error:
-        faults.append(Fault(block.line, shown, str(error)))
+        message = str(error)
+        if radius is None:
+            message += _other_centre(block, state, begin, last, faults)
+        faults.append(Fault(block.line, shown, message))
         return None
     out = list(start)
     out[first], out[second] = centre[0] * scale, centre[1] * scale
     return tuple3(out)
+
+
+def _other_centre(
+    block: Block, state: State, begin: Point2, last: Point2, faults: list[Fault]
+) -> str:
+    """What the words of a centre would fit, if G90.1 stood for G91.1 or vice versa."""
+    first, second = (state.plane + 1) % 3, (state.plane + 2) % 3
+    shift = find_shift(block, state, faults)
+    words = [block.number(_CENTRE_WORDS[axis]) or 0.0 for axis in (first, second)]
+    zero = shift[first] / state.scale - begin[0], shift[second] / state.scale - begin[1]
+    offset = words[0], words[1]
+    if not state.is_centre_absolute:
+        offset = words[0] + zero[0], words[1] + zero[1]
+    tolerance = INCH_TOLERANCE if state.scale == MM_PER_INCH else MM_TOLERANCE
+    try:
+        centre_from_offset(begin, last, offset, tolerance)
+    except ArcError:
+        return ""
+    letters = " and ".join(sorted(_CENTRE_WORDS[axis] for axis in (first, second)))
+    if state.is_centre_absolute:
+        return f" {letters} fit as measured from its start, which G91.1 says."
+    return f" {letters} fit as an absolute centre, which G90.1 says."
 
 
 def _report_unused(block: Block, state: State, faults: list[Fault]) -> None:

@@ -5,7 +5,16 @@ import math
 from ....toolpath import Point
 from ..faults import Fault
 from .blocks import Block
-from .state import AXES, State, find_shift, find_zero, machine_zero, tuple3
+from .state import (
+    AXES,
+    State,
+    find_shift,
+    find_zero,
+    lose_place,
+    machine_zero,
+    require_place,
+    tuple3,
+)
 
 _SYSTEMS = ("G54", "G55", "G56", "G57", "G58", "G59", "G59.1", "G59.2", "G59.3")
 
@@ -46,6 +55,8 @@ def _state_position(block: Block, state: State, faults: list[Fault]) -> None:
     if not axes:
         message = "G92 needs X, Y or Z."
         faults.append(Fault(block.line, block.texts["once"], message))
+    if state.out.moves:
+        require_place("".join(axes), block.texts["once"], block, state, faults)
     shift = list(find_shift(block, state, faults))
     position = list(state.position)
     for letter in axes:
@@ -55,6 +66,7 @@ def _state_position(block: Block, state: State, faults: list[Fault]) -> None:
             # Before any motion the place is not known but stated here.
             position[axis] = stated + shift[axis]
             state.out.known.add(letter)
+            state.unknown.pop(letter, None)
         else:
             shift[axis] = position[axis] - stated
     zero = find_zero(state.system, block, state, faults)
@@ -93,6 +105,9 @@ def _stated_zero(
         if found is None:
             return None
         base = found
+    else:
+        axes = "".join(block.axes())
+        require_place(axes, block.texts["once"], block, state, faults)
     whole = len(block.axes()) == 3
     zero = [0.0] * 3 if whole else list(find_zero(name, block, state, faults))
     for letter in block.axes():
@@ -141,10 +156,7 @@ def compensate_length(block: Block, state: State, faults: list[Fault]) -> None:
         return
     if length is None or state.length is None:
         if state.out.moves:
-            state.is_height_unknown = True
-            if not state.out.is_approach:
-                state.out.begin_section(block.line)
-            state.out.known.discard("Z")
+            lose_place("Z", text, block, state)
     elif length != state.length:
         x, y, z = state.position
         state.position = (x, y, z - (length - state.length))

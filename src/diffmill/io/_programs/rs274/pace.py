@@ -3,11 +3,9 @@
 from typing import NamedTuple
 
 from ..faults import Fault
+from ..limits import LARGEST_FEED, SHORTEST_DURATION
 from .blocks import Block
 from .state import State
-
-_LARGEST_FEED_MM_PER_MIN = 1e7
-_SHORTEST_DURATION = 1e-7
 
 
 class Pace(NamedTuple):
@@ -36,9 +34,10 @@ def set_feed(block: Block, state: State, faults: list[Fault]) -> None:
         # The standard executes F before G20 and G21: a change of units in the same
         # line does not apply to it.
         feed = word.number * state.scale
-        if feed > _LARGEST_FEED_MM_PER_MIN:
-            message = f"a feed is {_LARGEST_FEED_MM_PER_MIN:g} mm/min at most."
+        if feed > LARGEST_FEED * 6e4:
+            message = f"a feed is {LARGEST_FEED * 6e4:g} mm/min at most."
             faults.append(Fault(block.line, word.text, message))
+            feed = float("nan")
         state.feed = feed / 60 if state.feed_mode == 940 else feed
 
 
@@ -79,9 +78,10 @@ def _inverse_time(block: Block, faults: list[Fault]) -> Pace:
         faults.append(Fault(block.line, shown, message))
         return Pace()
     duration = 60 / word.number
-    if 0 < duration < _SHORTEST_DURATION:
-        message = f"a move lasts at least {_SHORTEST_DURATION:g} s (F is 60 s / t)."
+    if 0 < duration < SHORTEST_DURATION:
+        message = f"a move lasts at least {SHORTEST_DURATION:g} s (F is 60 s / t)."
         faults.append(Fault(block.line, word.text, message))
+        return Pace()
     return Pace(duration=duration)
 
 

@@ -11,6 +11,12 @@ from .blocks import Block
 
 MM_PER_INCH = 25.4
 AXES = "XYZ"
+# Codes that go to places of the machine.
+MACHINE_CODES = ("G28", "G30", "G53")
+NO_MACHINE_ZERO = (
+    "where the machine's zero lies is not known; needed is its place in `work` (in a "
+    "job: [program] machine_zero)."
+)
 
 
 @dataclass
@@ -38,6 +44,7 @@ class State:
         position: Tool tip in `work` [mm].
         motion: Motion code times ten; None before the first, 800 for none, -1 after a
             refused one.
+        plain_motion: The last motion code that was no cycle, times ten.
         plane: Index of the axis across the working plane.
         scale: Millimetres per unit of the program.
         feed: Feed [mm/s], with G95 per revolution [mm]; None before the first F word.
@@ -47,6 +54,10 @@ class State:
         references: Points of G28 and G30 that G28.1 and G30.1 have set, in `work` with
             a tool of no length [mm].
         own_offset: Offset of G92 [mm], and the one that G92.3 restores.
+        unknown: Axes along which the place of the tool is not known, and what has lost
+            it, such as "G53".
+        unknown_exits: By tool, what is wrong if it cuts again: it has left a cut for a
+            place that is not known.
         shift: From program coordinates to `work` [mm]; None if to be found anew.
         length: Compensated tool length [mm]; None if it is not known.
     """
@@ -55,6 +66,7 @@ class State:
     out: MoveList = field(default_factory=MoveList)
     position: Point = (0.0, 0.0, 0.0)
     motion: int | None = None
+    plain_motion: int | None = None
     plane: int = 2
     is_plane_known: bool = True
     scale: float = 1.0
@@ -62,7 +74,6 @@ class State:
     is_centre_absolute: bool = False
     is_retract_high: bool = False
     is_ended: bool = False
-    is_height_unknown: bool = False
     feed: float | None = None
     feed_mode: int = 940
     spindle_rpm: float = 0.0
@@ -73,6 +84,8 @@ class State:
     references: list[Point | None] = field(default_factory=lambda: [None, None])
     own_offset: Point = (0.0, 0.0, 0.0)
     stored_offset: Point = (0.0, 0.0, 0.0)
+    unknown: dict[str, str] = field(default_factory=dict)
+    unknown_exits: dict[int | None, Fault] = field(default_factory=dict)
     shift: Point | None = None
     length: float | None = 0.0
     length_word: str = ""
@@ -109,16 +122,35 @@ def find_zero(name: str, block: Block, state: State, faults: list[Fault]) -> Poi
     return state.zeros[name]
 
 
+def lose_place(axes: str, word: str, block: Block, state: State) -> None:
+    """Forget where the tool is along some axes, until the program states it."""
+    state.unknown |= dict.fromkeys(axes, word)
+    state.out.lose(axes, block.line)
+
+
+def require_place(
+    axes: str, word: str, block: Block, state: State, faults: list[Fault]
+) -> None:
+    """Report a code that needs to know where the tool is along some axes."""
+    lost = [axis for axis in axes if axis in state.unknown]
+    if not lost:
+        return
+    cause, names = state.unknown[lost[0]], " and ".join(lost)
+    key = "machine_zero" if cause in MACHINE_CODES else "tool_lengths"
+    message = (
+        f"where the tool is in {names} is not known after {cause}; needed is {names} "
+        f"in a G0 before (or, in a job, [program] {key})."
+    )
+    faults.append(Fault(block.line, word, message))
+    state.unknown.clear()
+
+
 def machine_zero(
     block: Block, word: str, state: State, faults: list[Fault]
 ) -> Point | None:
     """Return the zero of the machine in `work` [mm], or None with a fault."""
     if state.setup.machine_zero is None:
-        message = (
-            "where the machine's zero lies is not known; needed is its place in "
-            "`work` (in a job: [program] machine_zero)."
-        )
-        faults.append(Fault(block.line, word, message))
+        faults.append(Fault(block.line, word, NO_MACHINE_ZERO))
         return None
     return tuple3(1e3 * value for value in state.setup.machine_zero)
 

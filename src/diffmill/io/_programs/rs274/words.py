@@ -6,6 +6,7 @@ import string
 from typing import NamedTuple
 
 from ..faults import Fault
+from ..limits import LARGEST_NUMBER
 
 # No text is a number in two ways, so that a long line of words is read once.
 _NUMBER = r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)"
@@ -13,6 +14,7 @@ _WORD = re.compile(rf"([A-Z])({_NUMBER})")
 # A line of words and nothing else, O aside, is split at once.
 _PLAIN = re.compile(rf"(?:[A-NP-Z]{_NUMBER})*")
 _MARK = re.compile(r"[();]")
+_BRACKET = re.compile(r"[()]")
 _BLANKS = str.maketrans("", "", " \t\r")
 # A controller's longest line is 256 characters; comments may be longer.
 _LONGEST_LINE = 10_000
@@ -21,7 +23,6 @@ _UNKNOWN = re.compile(r"[A-Z]?[^A-Z(]+|[A-Z]")
 # After one of these the rest of a line is an expression, not words.
 _EXPRESSION = frozenset("#[]<>=@^{}\"'")
 _NAMES = re.compile(r"<[^>]*>|\[[^\]]*\]")
-_LARGEST = 1e9
 _UPPER = str.maketrans(string.ascii_lowercase, string.ascii_uppercase)
 _VALUES = frozenset("XYZIJKRFSTPQLHD")
 
@@ -43,7 +44,7 @@ def split_words(text: str, line: int, faults: list[Fault]) -> list[Word]:
         message = f"the line has {len(text)} characters; {_LONGEST_LINE} are allowed."
         faults.append(Fault(line, text[:30], message))
         return []
-    code = _without_comments(text, line, faults) if _MARK.search(text) else text
+    code = split_comments(text, line, faults).code if _MARK.search(text) else text
     compact = code.translate(_BLANKS)
     upper = compact.translate(_UPPER)
     words: list[Word] = []
@@ -76,8 +77,9 @@ def _take(
     """Add the word of a match; one that is too large is reported."""
     letter, number = match[1], float(match[2])
     shown = compact[match.start() : match.end()]
-    if abs(number) > _LARGEST:
-        faults.append(Fault(line, shown[:30], f"its size is beyond {_LARGEST:g}."))
+    if abs(number) > LARGEST_NUMBER:
+        message = f"its size is beyond {LARGEST_NUMBER:g}."
+        faults.append(Fault(line, shown[:30], message))
         number = math.nan
     if not math.isnan(number) or letter in _VALUES:
         words.append(Word(letter, number, shown))
@@ -119,26 +121,50 @@ def _report_unknown(
     return end
 
 
-def _without_comments(text: str, line: int, faults: list[Fault]) -> str:
-    """Return a line with a ( left in the place of each comment, where a word ends."""
-    out = []
+class Comments(NamedTuple):
+    """A line without its comments, with a ( in the place of each that stands inside.
+
+    Attributes:
+        code: The line; a word ends where a comment stood.
+        texts: What the comments say.
+    """
+
+    code: str
+    texts: tuple[str, ...]
+
+
+def split_comments(text: str, line: int, faults: list[Fault]) -> Comments:
+    """Return a line without its comments; one with brackets in it ends with the last.
+
+    Posts write names with brackets, such as (Pocket (2)), which controllers end at the
+    first closing one; what would then stand behind the comment is no word.
+    """
+    code, texts = [], []
     position = 0
     while mark := _MARK.search(text, position):
-        out.append(text[position : mark.start()])
+        code.append(text[position : mark.start()])
+        begin = mark.end()
         if mark[0] == ";":
-            return "".join(out)
-        position = mark.end()
+            return Comments("".join(code), (*texts, text[begin:].strip()))
         if mark[0] == ")":
             faults.append(Fault(line, ")", "there is no comment that it closes."))
+            position = begin
             continue
-        close = text.find(")", position)
-        if close < 0:
+        position = _end_of_comment(text, begin)
+        if position < 0:
             message = "the comment is not closed; a ) must end it on its line."
             faults.append(Fault(line, text[mark.start() :][:30], message))
-            return "".join(out)
-        if "(" in text[position:close]:
-            message = "a comment must not contain another."
-            faults.append(Fault(line, text[mark.start() : close + 1][:30], message))
-        out.append("(")
-        position = close + 1
-    return "".join(out) + text[position:]
+            return Comments("".join(code), tuple(texts))
+        code.append("(")
+        texts.append(text[begin : position - 1].strip())
+    return Comments("".join(code) + text[position:], tuple(texts))
+
+
+def _end_of_comment(text: str, begin: int) -> int:
+    """Return where a comment ends whose brackets are all closed; -1 if nowhere."""
+    depth = 1
+    for found in _BRACKET.finditer(text, begin):
+        depth += 1 if found[0] == "(" else -1
+        if depth == 0:
+            return found.end()
+    return -1

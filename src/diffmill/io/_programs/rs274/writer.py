@@ -9,6 +9,7 @@ from jaxtyping import Float
 from ...._types import RealScalarLike
 from ....toolpath import Move, Path, Program
 from ..geometry import program_moves, straight_pieces
+from ..text import plain_number
 from .frame import ProgramFrame, comment_block
 
 _DECIMALS = 6
@@ -60,7 +61,7 @@ def write_gcode(
     lines += ["G17 G21 G90 G93", *frame.opening]
     if spindle_speed is not None:
         rpm = float(spindle_speed) * 60 / (2 * math.pi)
-        lines.append(f"S{round(rpm, 6):.12g} {frame.spindle}")
+        lines.append(f"S{plain_number(round(rpm, 6))} {frame.spindle}")
     lines.append(f"G0 {_coordinates(points[0])}")
     between, said = frame.between, 0
     numbers = np.asarray(path.line)[1:].tolist()
@@ -121,7 +122,8 @@ def write_moves(
     lines += ["G17 G21 G40 G49 G90 G94", *frame.opening]
     speeds = iter(program.spindle_speeds)
     if (speed := next(speeds, None)) is not None:
-        lines.append(f"S{round(float(speed) * 30 / math.pi, 6):.12g} {frame.spindle}")
+        rpm = round(float(speed) * 30 / math.pi, 6)
+        lines.append(f"S{plain_number(rpm)} {frame.spindle}")
     plane, feed, mode = 2, None, 940
     between, said = frame.between, 0
     for move in moves:
@@ -149,12 +151,12 @@ def write_moves(
                 words.append(f"F{60 / one.duration:.9f}")
             elif one.feed is not None and one.feed != feed:
                 feed = one.feed
-                words.append(f"F{feed * 6e4:.9g}")
+                words.append(f"F{plain_number(feed * 6e4, 9)}")
             if one.length > 0 or one.duration is None:
                 lines.append(" ".join(words))
             rest = one.rest or (0.0 if one.length > 0 else one.duration or 0.0)
             if rest:
-                lines.append(f"G4 P{rest:.9g}")
+                lines.append(f"G4 P{plain_number(rest, 9)}")
     return "\n".join([*lines, *frame.closing]) + "\n"
 
 
