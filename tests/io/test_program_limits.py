@@ -172,7 +172,7 @@ DIGITS = "1" * 400
         (".mod", f"MoveL {TARGET.format(5).replace('0,1,0,0', '0,1E-200,0,0', 1)},v50,"
          "fine,tool0;", "no length"),
         (".apt", "DELAY/-1", "a rest of -1 s"),
-        (".apt", "CYCLE/DRILL,RAPTO,1,FEDTO,2,DWELL,-2\\nGOTO/1,1,1", "a rest of -2 s"),
+        (".apt", "CYCLE/DRILL,RAPTO,1,FEDTO,2,DWELL,-2\nGOTO/1,1,1", "a rest of -2 s"),
         (".apt", "GOTO/1E400,0,0", "3 numbers up to 1e+10"),
         (".apt", "GOTO/1E6,0,0", "a position at x = 1000 m"),
         (".apt", "CIRCLE/150000,0,5,0,0,1,150000\nGOTO/0,0,5", "x = 150 m"),
