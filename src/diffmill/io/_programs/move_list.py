@@ -87,7 +87,8 @@ class MoveList:
                 self._unknown = move.line
         if len(self.moves) >= MOST_MOVES:
             self.reserve(1, move.line)
-        self._lost.difference_update(axes)
+        if self._lost:
+            self._lost.difference_update(axes)
         if self.is_approach:
             if move.is_rapid:
                 self._approach_count += 1
@@ -194,7 +195,7 @@ class MoveList:
     def _note_speeds(self) -> None:
         """Note motion that is faster than a cell moves a cutter."""
         speeds = [
-            (move.length / move.duration if move.duration else move.feed or 0.0)
+            move.length / move.duration if move.duration else move.feed or 0.0
             for move in self.moves
         ]
         fastest = max(speeds)

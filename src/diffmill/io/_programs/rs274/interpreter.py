@@ -131,7 +131,7 @@ def _run_line(row: str, number: int, state: State) -> list[Fault]:
             state.out.note(row.split("(")[0].strip(), "is a program number", number)
             return []
     faults: list[Fault] = []
-    if _NESTED.search(row):
+    if "(" in row and _NESTED.search(row):
         sentence = "has brackets in it, and ends where all of them are closed"
         state.out.note("a comment", sentence, number)
     words = split_words(row, number, faults)
@@ -392,7 +392,7 @@ def _move(block: Block, state: State, faults: list[Fault]) -> None:
         _cycle(block, state, faults)
         return
     is_machine = block.g.get("once") == 530
-    if motion in (10, 20, 30):
+    if motion in (10, 20, 30) and (state.unknown or state.unknown_exits):
         _require_way(block, state, faults)
     if is_machine and motion == 0 and state.setup.machine_zero is None:
         if axes and not state.is_incremental:
@@ -438,8 +438,7 @@ def _moves_without_axes(block: Block, is_arc: bool) -> bool:
 
 def _require_way(block: Block, state: State, faults: list[Fault]) -> None:
     """Report a cut from a place that is not known, or behind a way that is not."""
-    if state.unknown:
-        require_place(AXES, motion_text(block), block, state, faults)
+    require_place(AXES, motion_text(block), block, state, faults)
     if fault := state.unknown_exits.pop(state.out.tool, None):
         faults.append(fault)
 
