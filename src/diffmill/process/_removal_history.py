@@ -33,7 +33,7 @@ from ._stock_derivatives import AbstractAdjoint
 
 # Entries of the history along a straight path: the lag is so many least distances.
 _ALONG = 48
-# Further entries where the tool turns or comes to rest: one that trembles fills these.
+# Further entries where the tool turns or stops: one that trembles fills these.
 _AT_TURNS = 16
 QUEUE_LENGTH = _ALONG + _AT_TURNS
 # Cosine of the turn, 0.3 rad, from which on a pose comes in: within the least distance
