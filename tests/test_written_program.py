@@ -77,3 +77,32 @@ def test_the_program_with_its_own_blocks_is_read_back_and_run(tmp_path, monkeypa
     moved, program = read("out/moved.ngc"), read("part.ngc")
     feeds = [move.feed for move in moved.moves]
     assert feeds[-3:] == [move.feed for move in program.moves[-3:]]
+
+
+@pytest.mark.slow
+def test_a_corrected_robot_program_has_the_orientation_of_its_source(
+    tmp_path, monkeypatch
+):
+    """The usual tool of KUKA: the cutter along its x, upright at A 0, B 90, C 0."""
+    monkeypatch.chdir(tmp_path)
+    file = write_slides_job(tmp_path, 'method = "inverse_drive"')
+    place = "{{X {},Y {},Z {},A 0,B 90,C 0}}"
+    text = "DEF part( )\n$VEL.CP=0.05\n"
+    text += f"PTP {place.format(-5.5, 1, 1)}\nPTP {place.format(-5.5, 1, -0.8)}\n"
+    text += f"LIN {place.format(6, 1, -0.8)}\nLIN {place.format(6, 4, -0.8)}\nEND"
+    (tmp_path / "part.src").write_text(text)
+    job = file.read_text().replace('"part.ngc"', '"part.src"\ntool_axis = "x"')
+    file.write_text(job + '\n[output]\nformats = ["krl"]\nmoved_ends = true\n')
+    assert main(["correct", "job.toml", "--out", "out", "--quiet"]) == 0
+    for name in ("corrected.src", "moved.src"):
+        rows = (tmp_path / "out" / name).read_text().splitlines()
+        (comment,) = (row for row in rows if "motion only" in row)
+        assert "its tip, x of it pointing from the shank to the tip" in comment
+        positions = [row for row in rows if "{X" in row]
+        assert positions[0].startswith("PTP {X -5.5")
+        assert all("A 0,B 90,C 0}" in row for row in positions)
+    with xarray.open_dataset(tmp_path / "out" / "result.nc", engine="h5netcdf") as kept:
+        found = kept.attrs
+    # A tool that were read back lying flat would cut elsewhere.
+    rms = found["written_rms_src"], found["moved_rms_src"]
+    assert 0 < rms[0] < rms[1] < 1e-4

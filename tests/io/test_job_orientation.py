@@ -151,3 +151,20 @@ def test_check_prints_axis_base_and_tool(write, tmp_path, capsys):
     assert main(["check", str(tmp_path / "job.toml")]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert any("tool axis" in line and "40.00 deg" in line for line in lines)
+    write(krl((0, 90, 0)))
+    assert main(["check", str(tmp_path / "part.src"), "--tool-axis", "x"]) == 0
+    assert "from +z by 0.00 deg, upright" in capsys.readouterr().out
+
+
+def test_convert_turns_the_frame_of_the_tool(write, tmp_path, capsys):
+    write(krl((0, 90, 0)))
+    files = [str(tmp_path / name) for name in ("part.src", "part.apt", "again.src")]
+    axis = ["--tool-axis", "x"]
+    assert main(["convert", *files[:2], *axis]) == 0
+    assert "GOTO/2,0,-1,0,0,1" in (tmp_path / "part.apt").read_text()
+    assert main(["convert", *files[1:], *axis]) == 0
+    text = (tmp_path / "again.src").read_text()
+    assert "LIN {X 2,Y 0,Z -1,A 0,B 90,C 0}" in text and "(its tip, x of it" in text
+    (tmp_path / "part.csv").write_text("time_s,x_mm,y_mm,z_mm\n0,0,0,0\n1,1,0,0\n")
+    apt = ["convert", str(tmp_path / "part.csv"), str(tmp_path / "other.apt"), *axis]
+    assert main(apt) == 2 and "--tool-axis: neither" in capsys.readouterr().err

@@ -159,6 +159,9 @@ def test_angles_that_are_not_stated_are_an_upright_tool_and_noted(read):
     assert any(note.startswith("lines 3, 4: A, B, C: ") for note in program.notes)
 
 
+DATA = "DECL LDAT L1={VEL 2.0,ACC 100.0,ORI_TYP #CONSTANT,CIRC_TYP #BASE}\n"
+
+
 def test_constant_orientation_of_krl_is_that_of_the_start(read):
     rows = "PTP {X 0,Y 0,Z 0,A 0,B 10,C 180}\n{}LIN {X 9,Y 0,Z 0,A 0,B 40,C 180}{}\n"
     rows = f"DEF a( )\n$VEL.CP=0.05\n{rows}PTP {{X 0,Y 0,Z 0,A 0,B 40,C 180}}\nEND"
@@ -169,6 +172,7 @@ def test_constant_orientation_of_krl_is_that_of_the_start(read):
         ("$ORI_TYPE=#CONSTANT\n", ""),
         ("LDAT_ACT={VEL 2,ORI_TYP #CONSTANT,JERK_FAC 50}\n", ""),
         ("S", " WITH $ORI_TYPE=#CONSTANT"),
+        (f"{DATA}S", " WITH $ORI_TYPE=SORI_TYP(L1), $CIRC_TYPE=SCIRC_TYP(L1)"),
     ):
         text = rows.replace("{}", before, 1).replace("{}", behind, 1)
         moves = read(text).moves

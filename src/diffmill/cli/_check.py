@@ -4,7 +4,7 @@ import collections
 import math
 import pathlib
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -24,18 +24,27 @@ _HDF5 = b"\x89HDF"
 _FLAT_LEAN = 80.0
 
 
-def describe_file(file: pathlib.Path, *, allow_outside: bool) -> list[str]:
+def describe_file(
+    file: pathlib.Path,
+    *,
+    allow_outside: bool,
+    tool_axis: Literal["x", "y", "z", "-x", "-y", "-z"] | None = None,
+) -> list[str]:
     """Return lines that describe a file.
 
     Args:
         file: A job, a campaign, a file for `diffmill identify`, a program or a recorded
             path, told by its suffix, and a TOML file by its keys.
         allow_outside: Whether a job may name files outside its folder.
+        tool_axis: Axis of the tool of a program that points from the shank to the tip,
+            as `[program] tool_axis` of a job.
 
     Raises:
         ValueError: If the file is faulty, or its suffix is not known.
     """
     suffix = file.suffix.lower()
+    if suffix == ".toml" and tool_axis is not None:
+        raise ValueError(f"{file}: --tool-axis is for programs; a job has a key for it")
     if suffix == ".toml":
         tables = _tables(file)
         if "kind" in tables:
@@ -43,7 +52,7 @@ def describe_file(file: pathlib.Path, *, allow_outside: bool) -> list[str]:
         if isinstance(tables.get("job"), str):
             return _describe_campaign(file, allow_outside=allow_outside)
         return _describe_job(file, allow_outside=allow_outside)
-    from ..io import PROGRAM_FORMATS, read_program
+    from ..io import PROGRAM_FORMATS, ProgramSetup, read_program
     from ..toolpath import Path
 
     if suffix not in PROGRAM_FORMATS:
@@ -57,7 +66,7 @@ def describe_file(file: pathlib.Path, *, allow_outside: bool) -> list[str]:
                 f"{file}: found a result, in netCDF; needed is a job, a program or a "
                 "path (xarray opens results)"
             )
-    program = read_program(file)
+    program = read_program(file, setup=ProgramSetup(tool_axis=tool_axis))
     if isinstance(program, Path):
         return _describe_path(file, program)
     return _describe_program(file, program)

@@ -3,6 +3,7 @@
 import dataclasses
 import math
 import pathlib
+from typing import Literal
 
 from .._results_folder import ResultsFolder, write_whole
 from ._session.errors import BadInput
@@ -18,6 +19,7 @@ def convert_file(
     tolerance: float,
     force: bool,
     is_spline: bool = False,
+    tool_axis: Literal["x", "y", "z", "-x", "-y", "-z"] | None = None,
 ) -> list[str]:
     """Write a program in the format of another suffix; return lines about it.
 
@@ -27,12 +29,14 @@ def convert_file(
         tolerance: How far the written motion may lie beside the read one [m].
         force: Whether a file that is there may be replaced.
         is_spline: Whether a path becomes a spline.
+        tool_axis: Axis of the robot's tool that points from the shank to the tip, in a
+            program of KRL or RAPID that is read or written; "z" if None.
 
     Raises:
         BadInput: If a file is there already, or none can be.
         ValueError: If the program cannot be read, or the format cannot say it.
     """
-    from ..io import read_program, write_program
+    from ..io import PROGRAM_FORMATS, ProgramSetup, read_program, write_program
     from ..toolpath import Path, Program, reduce_path
 
     if is_spline and target.suffix.lower() != ".src":
@@ -43,7 +47,14 @@ def convert_file(
         raise BadInput(f"{target}: found no folder {target.parent} to write it to")
     if target.exists() and not force:
         raise BadInput(f"{target}: the file exists; --force replaces it")
-    program = read_program(source)
+    is_of_robot = [
+        PROGRAM_FORMATS.get(file.suffix.lower()) in ("KRL", "RAPID")
+        for file in (source, target)
+    ]
+    if tool_axis is not None and not any(is_of_robot):
+        raise BadInput(f"--tool-axis: neither {source} nor {target} is KRL or RAPID")
+    setup = ProgramSetup(tool_axis=tool_axis if is_of_robot[0] else None)
+    program = read_program(source, setup=setup)
     lines = []
     if isinstance(program, Path):
         if target.suffix.lower() != ".csv":
@@ -70,6 +81,7 @@ def convert_file(
         header=header,
         tolerance=tolerance,
         is_spline=is_spline,
+        tool_axis=tool_axis or "z",
     )
     with ResultsFolder(target, str(target)).locked():
         write_whole(target, text.encode())

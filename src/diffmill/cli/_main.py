@@ -8,7 +8,7 @@ import sys
 import threading
 from collections.abc import Callable, Sequence
 from importlib import metadata
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
 
 import tyro
 
@@ -43,6 +43,13 @@ _Band = Annotated[
 ]
 _Json = Annotated[
     bool, tyro.conf.arg(help="Print the figures of all cases as JSON, in SI units.")
+]
+_ToolAxis = Annotated[
+    Literal["x", "y", "z", "-x", "-y", "-z"] | None,
+    tyro.conf.arg(
+        help="Axis of a robot's tool that points from the shank to the tip (KRL, "
+        "RAPID); z if not given."
+    ),
 ]
 _Outside = Annotated[
     bool, tyro.conf.arg(help="Let the job name files outside its own folder.")
@@ -346,6 +353,7 @@ def check(
         ),
     ],
     *,
+    tool_axis: _ToolAxis = None,
     allow_outside: _Outside = False,
 ) -> int:
     """Say what a file contains and what of it is not supported."""
@@ -354,7 +362,7 @@ def check(
     from ._check import describe_file
 
     with bad_input():
-        lines = describe_file(file, allow_outside=allow_outside)
+        lines = describe_file(file, allow_outside=allow_outside, tool_axis=tool_axis)
     print(printable("\n".join(lines)), flush=True)
     return 0
 
@@ -376,6 +384,7 @@ def convert(
     spline: Annotated[
         bool, tyro.conf.arg(help="Whether a path becomes a spline (KRL).")
     ] = False,
+    tool_axis: _ToolAxis = None,
     force: _Force = False,
     quiet: _Quiet = False,
 ) -> int:
@@ -388,7 +397,12 @@ def convert(
         if not length > 0:
             raise ValueError(f"--tolerance: found {tolerance!r}; needed is one above 0")
         lines = convert_file(
-            source, target, tolerance=length, force=force, is_spline=spline
+            source,
+            target,
+            tolerance=length,
+            force=force,
+            is_spline=spline,
+            tool_axis=tool_axis,
         )
     if not quiet:
         print(printable("\n".join(lines)))

@@ -40,11 +40,17 @@ class ToolPlace(NamedTuple):
 
 
 def controller_matrix(
-    move: Move, tool_axis: ToolAxis = "z"
+    axis: Point, tool_x: Point | None, tool_axis: ToolAxis = "z"
 ) -> Float[np.ndarray, "3 3"]:
-    """Axes of a controller's tool frame in `work` at the end of a move, as columns."""
-    z = np.array(move.axis) / math.hypot(*move.axis)
-    x = np.array([1.0, 0.0, 0.0]) if move.tool_x is None else np.array(move.tool_x)
+    """Axes of a controller's tool frame in `work`, as columns.
+
+    Args:
+        axis: Our tool axis, tip to shank.
+        tool_x: Our x of the tool; None for one as near to x of `work` as can be.
+        tool_axis: Axis of the controller's tool that points from the shank to the tip.
+    """
+    z = np.array(axis) / math.hypot(*axis)
+    x = np.array([1.0, 0.0, 0.0]) if tool_x is None else np.array(tool_x)
     x = x - (x @ z) * z
     if np.linalg.norm(x) < 1e-6:
         x = np.array([0.0, 0.0, -z[0]])
@@ -132,9 +138,15 @@ def rotation_of_quaternion(
     w: float, x: float, y: float, z: float
 ) -> Float[np.ndarray, "3 3"]:
     """Rotation of a quaternion of any length above 0."""
-    from scipy.spatial.transform import Rotation
-
-    return Rotation.from_quat([x, y, z, w]).as_matrix()
+    size = math.hypot(w, x, y, z)
+    w, x, y, z = w / size, x / size, y / size, z / size
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
 
 
 def rpy_of_rotation(R: Float[np.ndarray, "3 3"]) -> Point:

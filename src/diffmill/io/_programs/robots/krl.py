@@ -6,6 +6,7 @@ the like, WAIT SEC, and comments. A spline is a cubic one in time through its po
 """
 
 import dataclasses
+import functools
 import itertools
 import math
 import pathlib
@@ -13,7 +14,7 @@ import re
 
 import numpy as np
 
-from ....toolpath import Move, Point, Program
+from ....toolpath import Point, Program
 from ..expressions import split_arguments, value_of
 from ..faults import SHOWN_FAULTS, ProgramError
 from ..geometry import (
@@ -60,7 +61,7 @@ _LINE_DATA = re.compile(
 )
 _DATA_IN_FORCE = re.compile(r"([LP])DAT_ACT\s*=\s*(.+)", re.IGNORECASE)
 _ORIENTATION = re.compile(r"ORI_TYPE?\s+#(\w+)", re.IGNORECASE)
-_OF_LINE_DATA = re.compile(r"SORI_TYP\s*\(\s*(\w+)\s*\)", re.IGNORECASE)
+_OF_LINE_DATA = re.compile(r"S(ORI|CIRC)_TYP\s*\(\s*(\w+)\s*\)", re.IGNORECASE)
 # Where the arm is, such as in PTP $AXIS_ACT: the motion goes nowhere.
 _IN_PLACE = re.compile(r"\$(?:AXIS_ACT|POS_ACT)\b", re.IGNORECASE)
 _HOME = re.compile(r"X?HOME\d*|\$H_POS|\$AXIS_HOME(?:\[\d+\])?", re.IGNORECASE)
@@ -93,7 +94,7 @@ _QUIET = re.compile(
     re.IGNORECASE,
 )
 _QUIET_WITH = re.compile(
-    r"\$(?:ACC|APO|JERK|GEAR_JERK|VEL_AXIS|ACC_AXIS|VEL_EXTAX|ACC_EXTAX)\b.*",
+    r"\$(?:ACC|APO|JERK|GEAR_JERK|VEL_AXIS|ACC_AXIS|VEL_EXTAX|ACC_EXTAX|LOAD)\b.*",
     re.IGNORECASE,
 )
 _FRAMES = frozenset(["BASE", "TOOL", "IPO_MODE"])
@@ -115,7 +116,7 @@ class _Krl(Reader):
         self.frames: dict[str, dict[str, float]] = {}
         self.scalars: dict[str, float] = {}
         # An upright tool, until the program states an orientation.
-        upright = controller_matrix(Move(self.position, self.position), tool_axis)
+        upright = controller_matrix(self.axis, None, tool_axis)
         angles = zip("ABC", abc_of_rotation(upright), strict=True)
         self.values: dict[str, float] = dict.fromkeys("XYZ", 0.0) | dict(angles)
         self.is_turned = False
@@ -290,8 +291,10 @@ def _set_turn(name: str, value: str, line: int, reader: _Krl) -> None:
     """Set how the tool turns along a motion: $ORI_TYPE or $CIRC_TYPE."""
     value = value.strip()
     if found := _OF_LINE_DATA.fullmatch(value):
-        data = _ORIENTATION.search(reader.line_data.get(found[1].upper(), ""))
-        value = "#VAR" if data is None else f"#{data[1]}"
+        stated = reader.line_data.get(found[2].upper(), "")
+        data = re.search(rf"{found[1]}_TYPE?\s+#(\w+)", stated, re.IGNORECASE)
+        usual = "#VAR" if name == "ORI_TYPE" else "#BASE"
+        value = usual if data is None else f"#{data[1]}"
     word = value.upper().removeprefix("#")
     if word not in ("VAR", "CONSTANT", "JOINT", "BASE", "PATH"):
         message = (
@@ -513,9 +516,15 @@ def _apply(pose: dict[str, float], values: dict[str, float]) -> dict[str, float]
 
 def _place(values: dict[str, float], reader: _Krl) -> ToolPlace:
     point = (1e-3 * values["X"], 1e-3 * values["Y"], 1e-3 * values["Z"])
-    R = rotation_of_abc(values["A"], values["B"], values["C"])
-    place = tool_place(point, R, reader.tool_axis)
-    return place if reader.is_turned else place._replace(tool_x=None)
+    turn = _orientation(values["A"], values["B"], values["C"], reader.tool_axis)
+    return ToolPlace(point, turn.axis, turn.tool_x if reader.is_turned else None)
+
+
+# Most moves of a program have the orientation of the one before.
+@functools.lru_cache(maxsize=256)
+def _orientation(a: float, b: float, c: float, tool_axis: ToolAxis) -> ToolPlace:
+    """Axis and x of our tool of angles A, B, C [deg], at no place."""
+    return tool_place((0.0, 0.0, 0.0), rotation_of_abc(a, b, c), tool_axis)
 
 
 def _time_block(found: re.Match[str], line: int, reader: _Krl) -> None:

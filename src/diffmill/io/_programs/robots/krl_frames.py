@@ -194,7 +194,7 @@ class KrlFrames:
         """Give a tool its number, and say so where the program has another name."""
         self._numbers[tool.key] = number
         if number != tool.number:
-            reader.out.note(tool.name, f"is tool {number}", line)
+            reader.out.note(f"tool {number}", f"stands for {tool.name}", line)
 
     def base_pose(self) -> "StatedPose | None":
         """Pose of `work` in the base of the robot, if the program states it."""

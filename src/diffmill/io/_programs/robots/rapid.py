@@ -6,6 +6,7 @@ comments.
 """
 
 import dataclasses
+import functools
 import math
 import re
 from typing import NamedTuple
@@ -58,6 +59,7 @@ _QUIET = re.compile(
     re.IGNORECASE | re.DOTALL,
 )
 _WRIST = re.compile(r"SingArea\s*\\Wrist", re.IGNORECASE)
+_EXTERNAL = tuple(f"external axis {letter}" for letter in "abcdef")
 _WAIT = re.compile(rf"WaitTime\s*(?:\\InPos\s*,\s*)?({_NUMBER})", re.IGNORECASE)
 _FASTEST = 5.0
 # A controller wants a length of 1.
@@ -340,15 +342,19 @@ def _target(text: str, line: int, reader: _Rapid) -> ToolPlace:
     if math.hypot(*values[3:7]) < _LEAST_QUATERNION:
         reader.refuse(line, text, "the quaternion has no length.")
         return ToolPlace((x, y, z), reader.axis)
-    names = [f"external axis {number}" for number in "abcdef"]
-    axes = dict(zip(names, values[11:17], strict=True))
+    axes = dict(zip(_EXTERNAL, values[11:17], strict=True))
     reader.external_axes.take(axes, line, reader)
-    return tool_place((x, y, z), _rotation(values[3:7]), reader.tool_axis)
+    turn = _orientation(*values[3:7], tool_axis=reader.tool_axis)
+    return turn._replace(tip=(x, y, z))
 
 
-def _rotation(quaternion: list[float]) -> Float[np.ndarray, "3 3"]:
-    w, x, y, z = quaternion
-    return rotation_of_quaternion(w, x, y, z)
+# Most moves of a program have the orientation of the one before.
+@functools.lru_cache(maxsize=256)
+def _orientation(
+    w: float, x: float, y: float, z: float, *, tool_axis: ToolAxis
+) -> ToolPlace:
+    """Axis and x of our tool of a quaternion, at no place."""
+    return tool_place((0.0, 0.0, 0.0), rotation_of_quaternion(w, x, y, z), tool_axis)
 
 
 def _set_override(text: str, row: str, line: int, reader: _Rapid) -> None:

@@ -60,7 +60,8 @@ class Reader:
         cuts = [move for move in self.out.moves if not move.is_rapid]
         if not cuts or min(move.axis[2] for move in cuts) > _FLAT:
             return
-        turned = [controller_matrix(move, self.tool_axis)[2] for move in cuts]
+        axis = self.tool_axis
+        turned = [controller_matrix(m.axis, m.tool_x, axis)[2] for m in cuts]
         # Largest z of a direction from the shank to the tip, by its name.
         highest = {
             f"{sign}{name}": max(

@@ -1,5 +1,6 @@
 """Programs as KRL, RAPID and APT: straight moves, arcs as such or in pieces."""
 
+import functools
 import math
 import re
 from collections.abc import Callable, Sequence
@@ -225,7 +226,7 @@ def _frames(program: Program, tool_axis: ToolAxis) -> Callable[[Move], str]:
 
     def frame(move: Move) -> str:
         nonlocal angles
-        angles = abc_of_rotation(controller_matrix(move, tool_axis), angles)
+        angles = _angles(move.axis, move.tool_x, tool_axis, angles)
         values = [*(1e3 * value for value in move.end), *angles]
         pairs = zip("XYZABC", values, strict=True)
         return "{" + ",".join(f"{name} {_short(value)}" for name, value in pairs) + "}"
@@ -233,10 +234,27 @@ def _frames(program: Program, tool_axis: ToolAxis) -> Callable[[Move], str]:
     return frame
 
 
+# Most moves of a program have the orientation of the one before.
+@functools.lru_cache(maxsize=256)
+def _angles(
+    axis: Point, tool_x: Point | None, tool_axis: ToolAxis, near: Point
+) -> Point:
+    """Angles A, B, C [deg] of an orientation, of two triples that next to angles."""
+    return abc_of_rotation(controller_matrix(axis, tool_x, tool_axis), near)
+
+
+@functools.lru_cache(maxsize=256)
+def _quaternion(
+    axis: Point, tool_x: Point | None, tool_axis: ToolAxis
+) -> tuple[float, float, float, float]:
+    """Quaternion of an orientation."""
+    return quaternion_of_rotation(controller_matrix(axis, tool_x, tool_axis))
+
+
 def _target(move: Move, tool_axis: ToolAxis) -> str:
     """Return a robtarget of RAPID."""
     place = ",".join(_short(1e3 * value) for value in move.end)
-    quaternion = quaternion_of_rotation(controller_matrix(move, tool_axis))
+    quaternion = _quaternion(move.axis, move.tool_x, tool_axis)
     turn = ",".join(_short(value, 9) for value in quaternion)
     return f"[[{place}],[{turn}],[0,0,0,0],[9E9,9E9,9E9,9E9,9E9,9E9]]"
 
