@@ -138,6 +138,16 @@ def test_a_level_cut_does_not_feel_the_end():
     assert np.abs(end).max() < 2e-2 * np.linalg.norm(wanted, axis=1).max()
 
 
+def test_waves_of_a_level_slot_are_as_smooth_as_its_slope_says():
+    path = line([FEED, 0, 0], (0, 0, -1e-3))
+    wave = np.outer(np.sin(np.arange(STEPS) / 7), [0, 0, 1.0])
+    change = lambda s: (forces(path + s * wave) - forces(path - s * wave))[-60:, 2] / 2
+    small, large = change(0.1e-6), change(10e-6)
+    # 10 um are a hundred times as much; under a flat end some thousand times.
+    assert np.abs(small).max() > 0.01
+    assert np.abs(large).max() < 160 * np.abs(small).max()
+
+
 def ramp_force(slope):
     """Return the mean axial force of the end in a ramp [N], by quadrature.
 

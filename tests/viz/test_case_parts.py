@@ -98,6 +98,20 @@ def test_surface_figures_are_listed_by_kind(tmp_path, result):
     assert [cell for cell in cells[:at] if cell.strip()][-2:] == ["22.5", "-"]
 
 
+def test_the_command_line_tells_walls_and_floors_apart(result):
+    assert "machined surface" not in summary(result)
+    sizes = {"wall_mean": 1, "wall_rms": 2, "wall_p95": 3, "deepest": 8}
+    sizes |= {"floor_mean": -4, "floor_rms": 5, "floor_p95": np.nan}
+    told = result.assign(
+        {f"surface_{key}": ("case", 1e-6 * x * SIZE) for key, x in sizes.items()}
+    )
+    lines = summary(told).splitlines()
+    (start,) = [k for k, x in enumerate(lines) if x.startswith("machined surface")]
+    assert lines[start + 2].split() == [
+        *("uncorrected", "1.00", "2.00", "3.00", "-4.00", "5.00", "-", "8.00")
+    ]
+
+
 def test_a_mirror_that_makes_it_worse_is_explained(result):
     assert "note: the mirror" not in summary(result)
     worse = result.copy(deep=True)

@@ -145,10 +145,17 @@ def parts_html(dataset: "xarray.Dataset") -> str:
     return f'{table}<p class="note">{note}</p>{lines}'
 
 
+def surface_kinds(dataset: "xarray.Dataset") -> list[str]:
+    """Return which of walls and floors a result has the machined error of."""
+    if "surface_deepest" not in dataset:
+        return []
+    return [kind for kind in ("wall", "floor") if f"surface_{kind}_rms" in dataset]
+
+
 def surface_figures_html(dataset: "xarray.Dataset") -> str:
     """Return a table of the machined surface's error, walls and floors apart."""
-    kinds = [kind for kind in ("wall", "floor") if f"surface_{kind}_rms" in dataset]
-    if not kinds or "surface_deepest" not in dataset:
+    kinds = surface_kinds(dataset)
+    if not kinds:
         return ""
     names = case_names(dataset)
     keys = [f"surface_{kind}_{key}" for kind in kinds for key in ("mean", "rms", "p95")]

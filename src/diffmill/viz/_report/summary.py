@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from .._cases import case_names, case_numbers
+from .._cases import case_names, case_numbers, select_case
 from .._style import MICROMETRE
-from .case_parts import case_parts, out_of_cut_lines
+from .case_parts import case_parts, out_of_cut_lines, surface_kinds
 from .verdict import departure_text, unsettled_text, verdict
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ def summary(
         rows.append(f"{case:16}{numbers}{_cell(found.force_mean, 12)}")
     rms = {case: found.rms for case, found in cases.items()}
     unsettled = unsettled_text(dataset)
-    rows += [*_parts(dataset), *_mirror(rms)]
+    rows += [*_surface(dataset), *_parts(dataset), *_mirror(rms)]
     rows += [f"note: {unsettled}"] if unsettled else []
     return "\n".join(rows if only else [*rows, *_verdict(dataset)])
 
@@ -63,6 +63,27 @@ def _verdict(dataset: "xarray.Dataset") -> list[str]:
     lines += [f"note: {departure}"] if departure else []
     # Not every terminal prints a micro sign.
     return [line.replace(MICROMETRE, "um") for line in lines]
+
+
+def _surface(dataset: "xarray.Dataset") -> list[str]:
+    """Return lines of the machined surface's error of each case."""
+    kinds = surface_kinds(dataset)
+    if not kinds:
+        return []
+    keys = [f"{kind}_{key}" for kind in kinds for key in ("mean", "rms", "p95")]
+    keys.append("deepest")
+    names = [key.replace("_", " ").replace("p95", "95 %") for key in keys]
+    rows = [
+        "",
+        "machined surface against that of a rigid tool [um]; positive mean: material "
+        "left, deepest: cut into the part",
+        f"{'case':16}{''.join(f'{name:>12}' for name in names)}",
+    ]
+    for case in case_names(dataset):
+        found = select_case(dataset, case)
+        values = (float(found[f"surface_{key}"]) * 1e6 for key in keys)
+        rows.append(f"{case:16}{''.join(_cell(value, 12) for value in values)}")
+    return rows
 
 
 def _parts(dataset: "xarray.Dataset") -> list[str]:
