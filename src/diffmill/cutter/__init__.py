@@ -9,7 +9,7 @@ from tip to shank, and rotates clockwise seen from the shank.
 Assumes a cutting part and a shank of one radius, a helix of constant lead, and
 run-out as a parallel offset of the tool axis, small beside a chip's arc.
 A `ToolHolder` is a stack of cylinders and cones, which is only looked for in stock.
-Leaves out tapered and barrel tools, and run-out in the swept solid.
+Leaves out tapered and barrel tools.
 """
 
 from ._abstract import AbstractCutter as AbstractCutter

@@ -34,6 +34,7 @@ class AbstractCutter(eqx.Module):
     nominal_corner_radius: eqx.AbstractVar[float]
     has_helix: eqx.AbstractVar[bool]
     has_dish: eqx.AbstractVar[bool]
+    has_runout: eqx.AbstractVar[bool]
     has_even_pitch: eqx.AbstractVar[bool]
     is_plain: eqx.AbstractVar[bool]
 
@@ -78,6 +79,7 @@ class AbstractCutter(eqx.Module):
         points: Float[Array, "*#place 3"],
         tip: Float[Array, "*#place 3"],
         axis: Float[Array, "*#place 3"],
+        offset: Float[Array, "*#place"] | None = None,
     ) -> Float[Array, "..."]:
         """Return the signed distance to the swept solid, negative inside [m]."""
 
@@ -97,6 +99,7 @@ class AbstractCutter(eqx.Module):
         b: Float[Array, "..."],
         c: Float[Array, "..."],
         tip: Float[Array, "*#ray 3"],
+        offset: Float[Array, "*#ray"] | None = None,
     ) -> Chord:
         """Return where rays enter and leave the upright cutter, and whether they do."""
 
@@ -108,6 +111,7 @@ class AbstractCutter(eqx.Module):
         c: Float[Array, "*#ray"],
         tip: Float[Array, "*#ray 3"],
         axis: Float[Array, "*#ray 3"],
+        offset: Float[Array, "*#ray"] | None = None,
     ) -> Chord:
         """Return where rays enter and leave the cutter in a pose, and whether."""
 
@@ -138,3 +142,19 @@ class AbstractCutter(eqx.Module):
         self, lag: Float[Array, "*element"] | float = 0.0
     ) -> Float[Array, "tooth ..."]:
         """Return how far the edge of each tooth stands out by the run-out [m]."""
+
+    def edge_offsets(self, height: Float[Array, "*place"]) -> Float[Array, "tooth ..."]:
+        """Return how far teeth stand out by the run-out at heights on the edge [m].
+
+        Args:
+            height: Above the tip along the axis [m], shape (*place,).
+
+        Returns:
+            As `runout_offsets`, shape (tooth, *place), in the type of the heights.
+        """
+        if not self.has_helix:
+            offsets = self.runout_offsets().astype(height.dtype)
+            return offsets.reshape(-1, *(1,) * height.ndim)
+        lead = jnp.tan(jnp.asarray(self.helix_angle, height.dtype))
+        lag = height * lead / (self.diameter / 2)
+        return self.runout_offsets(lag).astype(height.dtype)

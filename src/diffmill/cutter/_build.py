@@ -208,6 +208,7 @@ def _end_mill(
         nominal_corner_radius=nominal_corner,
         has_helix=is_traced(helix_angle) or bool(helix_angle != 0),
         has_dish=is_traced(dish_angle) or bool(dish_angle != 0),
+        has_runout=has_runout,
         has_even_pitch=has_even_pitch,
         is_plain=kind == "flat" and has_even_pitch and not has_runout,
     )

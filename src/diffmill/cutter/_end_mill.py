@@ -35,7 +35,8 @@ class EndMill(AbstractCutter):
     """A flat, ball or bull-nose end mill with a shank of the same radius.
 
     Made by `flat_end_mill`, `ball_end_mill` and `bull_nose`. The swept solid is that
-    of the cutter without its run-out, which `runout_offsets` gives edge by edge.
+    of the cutter without its run-out, or, where an offset is given, of an edge that
+    stands out by this much across the axis; `runout_offsets` gives it tooth by tooth.
 
     Attributes:
         diameter: Diameter D [m].
@@ -56,6 +57,7 @@ class EndMill(AbstractCutter):
         nominal_corner_radius: Corner radius that sizes the edge elements [m].
         has_helix: Whether the flutes are helical; straight ones share their angles.
         has_dish: Whether a flat end is ground hollow.
+        has_runout: Whether a run-out is set, or traced.
         has_even_pitch: Whether the teeth stand at equal angles; False if traced.
         is_plain: Whether the end is flat, the pitch even and no run-out set or traced.
             Such a cutter may be taken through programs without derivatives by
@@ -76,6 +78,7 @@ class EndMill(AbstractCutter):
     nominal_corner_radius: float = eqx.field(static=True)
     has_helix: bool = eqx.field(static=True)
     has_dish: bool = eqx.field(static=True)
+    has_runout: bool = eqx.field(static=True)
     has_even_pitch: bool = eqx.field(static=True)
     is_plain: bool = eqx.field(static=True)
 
@@ -115,7 +118,7 @@ class EndMill(AbstractCutter):
         for name, is_left_out, usual in (
             ("helix_angle", not self.has_helix, 0.0),
             ("dish_angle", not self.has_dish, 0.0),
-            ("runout", self.is_plain, 0.0),
+            ("runout", not self.has_runout, 0.0),
             ("pitch_angles", self.has_even_pitch, even),
         ):
             value = getattr(self, name)
@@ -145,18 +148,20 @@ class EndMill(AbstractCutter):
             return self.own_corner_radius
         return self.diameter / 2 if self.kind == "ball" else 0.0
 
-    def _sizes(self, dtype: DTypeLike) -> _profile.Sizes:
-        """Return the sizes in the type of the points."""
-        return _profile.Sizes(
-            jnp.asarray(self.diameter, dtype) / 2,
-            jnp.asarray(self.corner_radius, dtype),
-        )
+    def _sizes(
+        self, dtype: DTypeLike, offset: Float[Array, "..."] | None = None
+    ) -> _profile.Sizes:
+        """Return the sizes in the type of the points, where edges stand out by some."""
+        radius = jnp.asarray(self.diameter, dtype) / 2
+        radius = radius if offset is None else radius + offset
+        return _profile.Sizes(radius, jnp.asarray(self.corner_radius, dtype))
 
     def level(
         self,
         points: Float[Array, "*#place 3"],
         tip: Float[Array, "*#place 3"],
         axis: Float[Array, "*#place 3"],
+        offset: Float[Array, "*#place"] | None = None,
     ) -> Float[Array, "..."]:
         """Return the signed distance to the swept solid, negative inside.
 
@@ -168,6 +173,7 @@ class EndMill(AbstractCutter):
             points: Points p [m], shape (..., 3).
             tip: Tool tip [m], shape (..., 3), broadcast against the points.
             axis: Unit tool axis a, from tip to shank, shape (..., 3), broadcast.
+            offset: How far the edge stands out [m], shape (...), broadcast.
 
         Returns:
             The distance [m], shape (...).
@@ -176,7 +182,7 @@ class EndMill(AbstractCutter):
             the nearest point changes from side to bottom, and on the rim of a flat end;
             finite everywhere, zero across the tool axis on it.
         """
-        return _profile.level(points, tip, axis, self._sizes(points.dtype))
+        return _profile.level(points, tip, axis, self._sizes(points.dtype, offset))
 
     def normal(
         self,
@@ -205,6 +211,7 @@ class EndMill(AbstractCutter):
         b: Float[Array, "..."],
         c: Float[Array, "..."],
         tip: Float[Array, "*#ray 3"],
+        offset: Float[Array, "*#ray"] | None = None,
     ) -> _rays.Chord:
         """Return where rays enter and leave the upright cutter, and whether they do.
 
@@ -215,6 +222,7 @@ class EndMill(AbstractCutter):
             b: Coordinate of each ray along axis (family + 1) % 3 [m].
             c: Coordinate of each ray along axis (family + 2) % 3 [m].
             tip: Tool tip [m], shape (..., 3), broadcast against the rays.
+            offset: How far the edge that cuts each ray stands out [m], broadcast.
 
         Returns:
             Entry and exit along the ray [m], and whether the ray is hit; entry and
@@ -224,14 +232,19 @@ class EndMill(AbstractCutter):
         root is guarded, so gradients are finite everywhere: slopes of a round end along
         z are cut off at 1000 where it turns into the side.
         """
-        R = self.diameter / 2
+        out = 0.0 if offset is None else offset
+        R = self.diameter / 2 + out
         db = b - tip[..., (family + 1) % 3]
         dc = c - tip[..., (family + 2) % 3]
         if family == 2:
             is_hit = db**2 + dc**2 < R**2
             lower = jnp.broadcast_to(tip[..., 2], is_hit.shape)
             if self.kind != "flat":
-                lower = lower + self._end_height(db**2 + dc**2, is_hit)
+                square = db**2 + dc**2
+                if offset is not None:
+                    inward = jnp.sqrt(square + _TOUCH**2) - out
+                    square = jnp.maximum(inward, 0) ** 2
+                lower = lower + self._end_height(square, is_hit)
             elif self.has_dish:
                 # No root of zero on the axis, whose derivative is infinite.
                 inward = R - jnp.sqrt(db**2 + dc**2 + _TOUCH**2)
@@ -239,7 +252,7 @@ class EndMill(AbstractCutter):
                 lower = lower + jnp.where(is_hit, rise, 0)
             return _rays.Chord(lower, jnp.full_like(lower, _rays.FAR), is_hit)
         across, up = (db, dc) if family == 0 else (dc, db)
-        r = R if self.kind == "flat" else self._end_radius(up)
+        r = R if self.kind == "flat" else self._end_radius(up) + out
         square = r**2 - across**2
         # Walls and floors of real parts lie exactly on rays: without a tolerance,
         # rounding would decide pose by pose and shred such a ray.
@@ -274,10 +287,12 @@ class EndMill(AbstractCutter):
         c: Float[Array, "*#ray"],
         tip: Float[Array, "*#ray 3"],
         axis: Float[Array, "*#ray 3"],
+        offset: Float[Array, "*#ray"] | None = None,
     ) -> _rays.Chord:
         """Return where rays enter and leave the cutter in a pose, and whether.
 
-        Exact for flat and ball ends; by Newton's method for a bull-nose. A ray that
+        Exact for flat and ball ends; by Newton's method for a bull-nose and for a ball
+        whose edge stands out. A ray that
         only touches the cutter is left whole, as by `intersect`: if half its chord is
         shorter than 0.02 of the radius, or if it is nowhere 1 nm above the bottom.
 
@@ -287,6 +302,7 @@ class EndMill(AbstractCutter):
             c: Coordinate of each ray along axis (family + 2) % 3 [m], broadcast.
             tip: Tool tip [m], shape (..., 3), broadcast against the rays.
             axis: Unit tool axis, from tip to shank, shape (..., 3), broadcast.
+            offset: How far the edge that cuts each ray stands out [m], broadcast.
 
         Returns:
             Entry and exit along the ray [m], cut off at +-1 km, and whether the ray is
@@ -300,7 +316,9 @@ class EndMill(AbstractCutter):
         shape = jnp.broadcast_shapes(b.shape, c.shape, tip.shape[:-1], axis.shape[:-1])
         b, c = jnp.broadcast_to(b, shape), jnp.broadcast_to(c, shape)
         tip, axis = (jnp.broadcast_to(x, (*shape, 3)) for x in (tip, axis))
-        sizes = self._sizes(b.dtype)
+        if offset is not None:
+            offset = jnp.broadcast_to(offset, shape)
+        sizes = self._sizes(b.dtype, offset)
         frozen = jax.lax.stop_gradient((b, c, tip, axis))
         fixed = jax.lax.stop_gradient(sizes)
         ray = _rays.make_ray(family, *frozen)
@@ -308,7 +326,7 @@ class EndMill(AbstractCutter):
             start, stop, is_met = _rays.capped_cylinder(
                 ray, fixed.radius, fixed.corner_radius
             )
-        elif self.kind == "ball":
+        elif self.kind == "ball" and offset is None:
             start, stop, is_met = _rays.ball(ray, fixed.radius)
         else:
             start, stop, is_met = _rays.bull(ray, fixed)
@@ -322,8 +340,8 @@ class EndMill(AbstractCutter):
             place[(family + 1) % 3], place[(family + 2) % 3] = b, c
             is_free = is_hit & (t > ray.low) & (t < ray.high)
             slope = jnp.where(is_free, slope, jnp.inf)
-            at = jnp.stack(place, axis=-1)
-            ends.append(with_derivative_of(end, _off, self, at, tip, axis, slope))
+            where = (jnp.stack(place, axis=-1), tip, axis, offset)
+            ends.append(with_derivative_of(end, _off, self, *where, slope))
         return _rays.Chord(ends[0], ends[1], is_hit)
 
     def wall_slopes(
@@ -433,6 +451,7 @@ def _off(
     place: Float[Array, "*end 3"],
     tip: Float[Array, "*end 3"],
     axis: Float[Array, "*end 3"],
+    offset: Float[Array, "*end"] | None,
     slope: Float[Array, "*end"],
 ) -> Float[Array, "*end"]:
     """Return how far along rays the surface lies behind places on it [m].
@@ -444,10 +463,11 @@ def _off(
         place: On the surface, in `work` [m], shape (..., 3).
         tip: Tool tip [m], shape (..., 3).
         axis: Unit tool axis, shape (..., 3).
+        offset: How far the edge stands out [m], shape (...).
         slope: Of the level along the rays [-], shape (...); infinite where the end
             does not move.
     """
-    return -cutter.level(place, tip, axis) / slope
+    return -cutter.level(place, tip, axis, offset) / slope
 
 
 def _bounded_height(

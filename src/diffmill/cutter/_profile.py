@@ -19,11 +19,11 @@ class Sizes(NamedTuple):
     """Sizes of an end mill.
 
     Attributes:
-        radius: Radius R [m].
+        radius: Radius R [m], shape () or that of the places.
         corner_radius: Corner radius r_c [m].
     """
 
-    radius: Float[Array, ""]
+    radius: Float[Array, "..."]
     corner_radius: Float[Array, ""]
 
 

@@ -112,7 +112,7 @@ def make_ray(
 
 
 def capped_cylinder(
-    ray: Ray, radius: Float[Array, ""], bottom: Float[Array, ""]
+    ray: Ray, radius: Float[Array, "..."], bottom: Float[Array, "..."]
 ) -> Chord:
     """Return the interval within a radius of the axis and above a height on it."""
     square = radius**2 - ray.offset**2

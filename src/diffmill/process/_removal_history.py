@@ -7,6 +7,7 @@ so that a slow or dwelling tool cannot fill it. Only where the tool turns or com
 rest, so that what it cuts there no other pose cuts, a pose comes in sooner.
 """
 
+import dataclasses
 import math
 from typing import NamedTuple
 
@@ -101,6 +102,11 @@ class RemovalHistory(NamedTuple):
             heading=jnp.zeros((QUEUE_LENGTH, 3), dtype),
             travel=jnp.zeros(QUEUE_LENGTH, dtype),
         )
+        if cutter.has_runout:
+            # What the tool stands in at the start all its teeth cut.
+            tooth = jnp.zeros(QUEUE_LENGTH, jnp.int32)
+            count = jnp.full_like(tooth, cutter.flute_count)
+            waiting = dataclasses.replace(waiting, tooth=tooth, count=count)
         families = tuple(rays.numbered() for rays in stock.families)
         return ProcessState(
             stock=eqx.tree_at(lambda s: s.families, stock, families),
@@ -165,7 +171,7 @@ class RemovalHistory(NamedTuple):
         behind = newest.travel - state.queue.travel[0]
         has_room = count.astype(way.dtype) < _AT_TURNS + behind / gap
         is_apart = (way >= _LEAST_WAY) & has_room & (count < QUEUE_LENGTH - 1)
-        # What the tool cut in a corner tells only the way on: the pose before is due.
+        # Only the way on shows that the pose before stood in a corner.
         cosine = jnp.sum(newest.heading * last.heading)
         has_turned = cosine < _TURNED * jnp.sum(last.heading**2)
         is_corner = has_turned & is_apart & (state.newest.row > last.row)
@@ -177,8 +183,8 @@ class RemovalHistory(NamedTuple):
         queue = jax.tree.map(
             lambda queue, *new: queue.at[at].set(jnp.stack(new), mode="drop"),
             state.queue,
-            state.newest,
-            newest,
+            state.newest.standing_since(last.row),
+            newest.standing_since(jnp.where(is_corner, state.newest.row, last.row)),
         )
         return eqx.tree_at(
             lambda s: (
@@ -226,13 +232,18 @@ class RemovalHistory(NamedTuple):
         passing = turn + jnp.round(state.passing - turn)
         is_beside = (passing < -0.5) | (passing >= 1.5)
         passing = jnp.where(is_beside, passing - jnp.floor(passing), passing)
+        tooth = 1 - index - jnp.round(passing - turn).astype(jnp.int32)
+        tooth = jnp.mod(tooth, count)
         late = jnp.zeros_like(passing)
         if not cutter.has_even_pitch:
             early = early_teeth(cutter, pose.tip.dtype)
-            tooth = 1 - index - jnp.round(passing - turn).astype(jnp.int32)
-            late = -early[jnp.mod(tooth, count)] * (count / (2 * math.pi))
+            late = -early[tooth] * (count / (2 * math.pi))
         travel = state.newest.travel + length
-        return Waiting(index, forward, passing + late, heading, travel), passing
+        newest = Waiting(index, forward, passing + late, heading, travel)
+        if cutter.has_runout:
+            one = jnp.ones_like(index)
+            newest = dataclasses.replace(newest, tooth=tooth, count=one)
+        return newest, passing
 
     def _remove_lagged(
         self,
@@ -335,13 +346,16 @@ class RemovalHistory(NamedTuple):
         slots = jnp.arange(QUEUE_LENGTH, dtype=jnp.int32)
         # After the last pose the tool stands there while its teeth go around.
         rest = jnp.arange(1 + self._wait(), dtype=jnp.int32)
-        last = jax.vmap(
-            lambda row: eqx.tree_at(
-                lambda each: (each.row, each.passing),
-                state.newest,
-                (row, state.passing),
-            )
-        )(index + rest)
+
+        def standing(later: Int[Array, ""]) -> Waiting:
+            row, newest = index + later, state.newest
+            each = dataclasses.replace(newest, row=row, passing=state.passing)
+            if newest.tooth is None:
+                return each
+            tooth = jnp.mod(newest.tooth + newest.row - row, cutter.flute_count)
+            return dataclasses.replace(each, tooth=tooth, count=1 + later)
+
+        last = jax.vmap(standing)(rest)
         rows = jax.tree.map(
             lambda queue, new: jnp.concatenate([queue, new]), state.queue, last
         )
@@ -391,6 +405,11 @@ class RemovalHistory(NamedTuple):
             lambda x: jax.lax.dynamic_slice_in_dim(x, first, count), table
         )
         number = lambda value: value.astype(steps.dtype)
+        teeth = None
+        if waiting.tooth is not None and waiting.count is not None:
+            every = jnp.arange(self.cutter.flute_count, dtype=jnp.int32)
+            before = jnp.mod(every - waiting.tooth, self.cutter.flute_count)
+            teeth = before < waiting.count
         return ToothPass(
             nodes=self.derivative.removal_poses(nodes),
             first=first,
@@ -398,6 +417,7 @@ class RemovalHistory(NamedTuple):
             passing=number(start - first) + steps,
             last=number(jnp.clip(newest * S - first, 0, count - 1)),
             substeps=S,
+            teeth=teeth,
         )
 
     def _pass_length(self) -> int:

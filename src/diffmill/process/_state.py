@@ -1,5 +1,7 @@
 """State of the process between tooth periods, and what leaves it."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -19,6 +21,8 @@ class Waiting(eqx.Module):
         heading: Direction of motion in `work`, that of the last motion where the tool
             rests; zero before the first, shape (queue, 3).
         travel: Distance travelled when the pass came in [m], shape (queue,).
+        tooth: The tooth of the pass, shape (queue,); None for a cutter without run-out.
+        count: For how many teeth it stands, its own and those before, as `tooth`.
     """
 
     row: Int[Array, "*queue"]
@@ -26,10 +30,18 @@ class Waiting(eqx.Module):
     passing: Float[Array, "*queue"]
     heading: Float[Array, "*queue 3"]
     travel: Float[Array, "*queue"]
+    tooth: Int[Array, "*queue"] | None = None
+    count: Int[Array, "*queue"] | None = None
 
     def __getitem__(self, item: object) -> "Waiting":
         """Return some of the passes."""
         return jax.tree.map(lambda x: x[item], self)
+
+    def standing_since(self, row: Int[Array, ""]) -> "Waiting":
+        """Return a pass that stands for all teeth since that of another row."""
+        if self.count is None:
+            return self
+        return dataclasses.replace(self, count=self.row - row)
 
 
 class ProcessState(eqx.Module):

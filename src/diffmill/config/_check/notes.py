@@ -37,6 +37,13 @@ def notes(stock: StockPlan, path: Path, cutter: AbstractCutter) -> tuple[str, ..
             f"the cutter's diameter of {diameter * 1e3:g} mm is larger than the whole "
             f"stock, {spans}"
         )
+    if cutter.has_runout:
+        most = float(np.max(np.asarray(cutter.runout_offsets())))
+        notes.append(
+            f"[cutter] runout: the tooth that stands out most cuts {most * 1e6:.3g} um "
+            "farther at its tip; the machined surface shows it, but contour error and "
+            "correction are those of the tool's axis"
+        )
     depth = immersion(path, cutter, stock)
     if depth > cutter.flute_length:
         notes.append(

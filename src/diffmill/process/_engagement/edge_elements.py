@@ -13,6 +13,7 @@ The bottom edge cuts only what the tool descends into; what the side of the same
 takes beyond the last circle is the side's.
 """
 
+import functools
 import math
 from typing import NamedTuple
 
@@ -125,11 +126,22 @@ class EdgeElementsInSpace(AbstractEngagement):
         angle, outward, tooth, fade = self._leading(
             process, elements, state, predicted, every
         )
-        place = jax.vmap(lambda p, e: _edge(cutter, elements, p, e))
-        points, normals, along = place(predicted, outward)
+        # Walls stand back by the run-out of the teeth that made them.
+        offsets = _edge_offsets(cutter, elements)
+        own = None if offsets is None else _of_teeth(offsets, tooth)
+        place = jax.vmap(lambda p, e, out: _edge(cutter, elements, p, e, out))
+        points, normals, along = place(predicted, outward, own)
         # What an edge takes: a chip as thick as it lies beyond the pose before.
-        old = state.recent[0][:, None, None, None]
-        chip = cutter.level(points, old.tip, old.direction())
+        old = state.recent[:, :, None, None, None]
+        if offsets is None:
+            chip = cutter.level(points, old.tip[0], old[0].direction())
+        else:
+            left = []
+            for k in range(1, cutter.flute_count + 1):
+                beyond = cutter.level(points, old.tip[k - 1], old[k - 1].direction())
+                earlier = jnp.roll(offsets, -k, axis=0) * elements.sin_kappa[None]
+                left.append(beyond - _of_teeth(earlier, tooth))
+            chip = functools.reduce(jnp.minimum, left)
         chip = clamp(0.0, chip, cutter.nominal_radius)[..., None] * normals
         cell = jnp.stack(
             [
@@ -297,11 +309,11 @@ class EdgeElementsInSpace(AbstractEngagement):
     ) -> UnclippedChip:
         cutter, tooth = process.cutter, samples.tooth
         elements = self.profile.elements(cutter, pose.tip.dtype)
-        edge = _edge(cutter, elements, pose, samples.outward)
+        # Here the run-out enters by what it adds to the chip.
+        edge = _edge(cutter, elements, pose, samples.outward, None)
         points, normals = edge.points, edge.normals
         n = elements.bottom_count
-        offsets = cutter.runout_offsets(elements.lag[n:])
-        side = jnp.arange(offsets.shape[1])
+        offsets = _edge_offsets(cutter, elements)
         nothing = 2 * cutter.nominal_radius
         chip = jnp.full_like(samples.outward.sin, nothing)
         newest = _newest(earlier)
@@ -311,12 +323,12 @@ class EdgeElementsInSpace(AbstractEngagement):
         for k in range(1, cutter.flute_count + 1):
             old = _of_samples(earlier[k - 1], tooth)
             # Teeth stand out by their run-out: what one takes the next does not find.
-            ahead = (offsets - jnp.roll(offsets, -k, axis=0))[tooth[..., n:], side]
-            ahead = ahead * elements.sin_kappa[None, None, n:]
             sides = old if old.tip.shape[2] == 1 else old[:, :, n:]
-            left = (
-                _walk(cutter, points[..., n:, :], normals[..., n:, :], sides, 2) + ahead
-            )
+            left = _walk(cutter, points[..., n:, :], normals[..., n:, :], sides, 2)
+            if offsets is not None:
+                ahead = offsets - jnp.roll(offsets, -k, axis=0)
+                ahead = _of_teeth(ahead * elements.sin_kappa[None], tooth)
+                left = left + ahead[..., n:]
             chip = chip.at[..., n:].min(left)
             way = way_of(sides.tip - pose.tip[None, None, None])
             per_way = per_way.at[..., n:].min(left / way)
@@ -328,6 +340,11 @@ class EdgeElementsInSpace(AbstractEngagement):
         for i in range(thinned.tip.shape[0]):
             old = thinned[i][None, None, None]
             left = _walk(cutter, points[..., n:, :], normals[..., n:, :], old, 1)
+            if offsets is not None:
+                # What is older the tooth has left that stands out most.
+                ahead = offsets - jnp.max(offsets, axis=0, keepdims=True)
+                ahead = _of_teeth(ahead * elements.sin_kappa[None], tooth)
+                left = left + ahead[..., n:]
             chip = chip.at[..., n:].min(left)
             per_way = per_way.at[..., n:].min(
                 left / way_of(old.tip - pose.tip[None, None, None])
@@ -408,6 +425,26 @@ def _of_samples(passed: Pose, tooth: Int[Array, "angle kept element"]) -> Pose:
     return passed[tooth]
 
 
+def _edge_offsets(
+    cutter: AbstractCutter, elements: EdgeElements
+) -> Float[Array, "tooth element"] | None:
+    """Return how far the elements stand out by the run-out [m], the bottom not at all.
+
+    None for a cutter without run-out.
+    """
+    if not cutter.has_runout:
+        return None
+    offsets = cutter.runout_offsets(elements.lag).astype(elements.lag.dtype)
+    return offsets.at[:, : elements.bottom_count].set(0)
+
+
+def _of_teeth(
+    values: Float[Array, "tooth element"], tooth: Int[Array, "*sample element"]
+) -> Float[Array, "*sample element"]:
+    """Return what belongs to the tooth and element of each sample."""
+    return values[tooth, jnp.arange(values.shape[1], dtype=jnp.int32)]
+
+
 def _angles(
     process: Process,
     elements: EdgeElements,
@@ -445,11 +482,16 @@ def _edge(
     elements: EdgeElements,
     pose: Pose,
     outward: Outward,
+    offset: Float[Array, "angle kept element"] | None,
 ) -> _EdgePlaces:
     """Return where the edge is.
 
-    The points stand on the cutter without run-out, which enters the chip alone: it
-    is far smaller than what the stock can resolve.
+    Args:
+        cutter: The cutter.
+        elements: Its edge elements.
+        pose: Pose of the tool, shape (3,).
+        outward: Directions of the samples.
+        offset: How far they stand out by the run-out [m]; None for not at all.
     """
     frame = Pose.frame(pose.direction())
     zero = jnp.zeros_like(outward.sin)
@@ -465,6 +507,8 @@ def _edge(
             elements.cos_kappa,
         )
     )
+    if offset is not None:
+        radius = radius + offset[..., None]
     points = pose.tip[None, None, None] + radius * radial + height * axis
     return _EdgePlaces(
         points,

@@ -74,7 +74,8 @@ class Solution(eqx.Module):
         is_reached: Whether the robot reaches what is commanded, shape (step,); True for
             a rigid machine.
         stock: The stock after the last pose.
-        rigid: The process alone on the desired path.
+        rigid: The process alone on the desired path; its stock is as it should be, that
+            of a cutter without run-out.
         result: Outcome of the run.
         joint_names: Order of the joints.
         joint_units: "rad" or "m", per joint.
@@ -366,6 +367,8 @@ def rigid_cut(
 ) -> Run:
     """Return the process alone on the desired path, as a rigid machine cuts it.
 
+    Its stock is what others are held against: run-out cuts it no wider.
+
     Args:
         job: The job, in its precision.
         adjoint: How to differentiate through the removal.
@@ -389,6 +392,15 @@ def rigid_cut(
         is_none = lambda x: x is None
         of = lambda run: (run.instantaneous_force, run.chips)
         cut = eqx.tree_at(of, cut, (None, None), is_leaf=is_none)
+        if job.cutter.has_runout:
+            # The same program, of a cutter that runs true.
+            runout = lambda p: p.process.cutter.runout
+            program = eqx.tree_at(runout, program, replace_fn=jnp.zeros_like)
+            found = _cut_along(program, tips, row)
+            true = found.ended(_remove_rest(program.process, found.ending))
+            is_good = cut.result == RESULTS.successful
+            result = RESULTS.where(is_good, true.result, cut.result)
+            cut = eqx.tree_at(lambda c: (c.stock, c.result), cut, (true.stock, result))
     return cut_rows(cut, RUN_ROWS, count) if total != count else cut
 
 

@@ -31,6 +31,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ...cutter import AbstractCutter
 from ...numerics import Recomputed, clamp, with_derivative_of
+from .._pose import Pose
 from .mean_step import mean_step
 from .nearest_interval import nearest_interval, taken
 from .occupancy import REACH, ChipsInStock
@@ -199,9 +200,31 @@ def _made_ends(
         slope = jax.lax.stop_gradient(slope)
         away = jnp.where(slope < 0, -_GRAZING, _GRAZING)
         slope = jnp.where(jnp.abs(slope) < _GRAZING, away, slope)
-        end = -cutter.level(n.places, cut_by.tip, cut_by.direction()) / slope
+        offset = _offset_of_ends(cutter, n.places, frozen)
+        end = -cutter.level(n.places, cut_by.tip, cut_by.direction(), offset) / slope
         ends.append(jnp.where(n.pose >= 0, end, track.raw_ends(f, n.at, n.pose)))
     return ends
+
+
+def _offset_of_ends(
+    cutter: AbstractCutter, places: Float[Array, "point 4 3"], cut_by: Pose
+) -> Float[Array, "point 4"] | None:
+    """Return how far the tooth stands out that left each end [m].
+
+    It is the one whose edge comes nearest to the end. None without run-out.
+    """
+    if not cutter.has_runout:
+        return None
+    axis = cut_by.direction()
+    height = jnp.sum((places - cut_by.tip) * axis, axis=-1)
+    normal = cutter.normal(places, cut_by.tip, axis)
+    sin_kappa = jnp.sqrt(jnp.maximum(1 - jnp.sum(normal * axis, axis=-1) ** 2, 0))
+    offsets = cutter.edge_offsets(jax.lax.stop_gradient(height))
+    offsets = jnp.broadcast_to(offsets, (offsets.shape[0], *height.shape))
+    off = cutter.level(places, cut_by.tip, axis)
+    away = jax.lax.stop_gradient(jnp.abs(sin_kappa * offsets - off))
+    nearest = jnp.argmin(away, axis=0)[None]
+    return jnp.take_along_axis(offsets, nearest, axis=0)[0]
 
 
 def _combine(

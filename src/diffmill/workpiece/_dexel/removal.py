@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from ..._arrays import is_traced
 from ...cutter import AbstractCutter
 from .._pose import Pose
 from .interval import CutInterval
@@ -62,7 +63,7 @@ class RemovalWindow(eqx.Module):
         nx, ny, nz = stock.grid_shape
         d = stock.spacing
         slack = min(reach, cutter.nominal_radius)
-        across = int((2 * cutter.nominal_radius + 2 * slack) / d) + 4
+        across = int((2 * _widest_radius(cutter) + 2 * slack) / d) + 4
         # From the row below the tip to that above the top, wherever the tip is.
         height = int(axial_depth / d) + 4
         return cls(
@@ -94,7 +95,7 @@ class RemovalWindow(eqx.Module):
             The window; never larger than the grid.
         """
         shape = stock.grid_shape
-        d, R = stock.spacing, cutter.nominal_radius
+        d, R = stock.spacing, _widest_radius(cutter)
         slack = min(reach, R)
         diagonal = d * math.sqrt(sum(n**2 for n in shape)) + 2 * R
         if axes is None:
@@ -207,6 +208,12 @@ class RemovalWindow(eqx.Module):
         )
 
 
+def _widest_radius(cutter: AbstractCutter) -> float:
+    """Return the radius that the cutter reaches with a run-out that is known [m]."""
+    is_known = cutter.has_runout and not is_traced(cutter.runout)
+    return cutter.nominal_radius + (abs(float(cutter.runout)) if is_known else 0.0)
+
+
 class WindowGrid(NamedTuple):
     """Grid lines of a window where it stands.
 
@@ -308,7 +315,10 @@ def _place(
         ]
         # Lines beyond the window that a tool of its true radius reaches stay uncut, and
         # so does material above it. The tool ends at its tip.
-        side = (cutter.diameter / 2) * jnp.asarray([1, 1, 0], origin.dtype)
+        radius = cutter.diameter / 2
+        if cutter.has_runout:
+            radius = radius + jnp.abs(jnp.asarray(cutter.runout, origin.dtype))
+        side = radius * jnp.asarray([1, 1, 0], origin.dtype)
         tips = jnp.stack([each.tip for each in poses])
         is_up = jnp.asarray([[False, False, True]])
         high = jnp.where(is_up, stock.top, tips + side[None])
@@ -320,7 +330,7 @@ def _place(
         is_short = has_before[None] & (before[None] > tips - side[None])
         is_short |= has_behind[None] & (behind[None] < high)
         return _WindowPlace(starts, jnp.any(is_short, axis=1))
-    a, R = pose.axis, cutter.nominal_radius
+    a, R = pose.axis, _widest_radius(cutter)
     disc = R * jnp.sqrt(jnp.maximum(1 - a**2, 0))
     far = pose.tip + window.length * a
     lower = jnp.minimum(pose.tip, far) - disc

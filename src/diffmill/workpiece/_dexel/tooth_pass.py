@@ -154,6 +154,8 @@ class ToothPass(eqx.Module):
         passing: Node, in parts too, at which the tooth looks forward at the tip, ().
         last: Last node that is known; later the tool is taken to stand there, ().
         substeps: Steps per tooth period.
+        teeth: Which teeth it stands for, of a cutter with run-out, shape (tooth,): the
+            pass takes what the one takes that stands out most; all teeth if None.
     """
 
     nodes: Pose
@@ -162,6 +164,7 @@ class ToothPass(eqx.Module):
     passing: Float[Array, ""]
     last: Float[Array, ""]
     substeps: int = eqx.field(static=True)
+    teeth: Bool[Array, " tooth"] | None = None
 
     def center(self) -> Pose:
         """Return the pose at which the tooth looks forward, shape (3,)."""
@@ -192,7 +195,30 @@ class ToothPass(eqx.Module):
             parts * value for value in (self.first, self.passing, self.last)
         )
         steps = parts * self.substeps
-        return ToothPass(fine, first, self.forward, passing, last, steps)
+        return ToothPass(fine, first, self.forward, passing, last, steps, self.teeth)
+
+    def offset(
+        self, cutter: AbstractCutter, height: Float[Array, "*#end"]
+    ) -> Float[Array, "..."] | None:
+        """Return how far the edge stands out that cuts at some heights.
+
+        Args:
+            cutter: The cutter.
+            height: Above the tip [m], shape (...).
+
+        Returns:
+            Of its teeth that which stands out most [m], broadcast against the heights;
+            None for a cutter without run-out.
+
+        **Differentiability**: kinks where another tooth stands out most.
+        """
+        if not cutter.has_runout:
+            return None
+        offsets = cutter.edge_offsets(height)
+        if self.teeth is not None:
+            own = self.teeth.reshape(-1, *(1,) * (offsets.ndim - 1))
+            offsets = jnp.where(own, offsets, -cutter.nominal_radius)
+        return jnp.max(offsets, axis=0)
 
     def when(
         self,
@@ -277,7 +303,7 @@ def cut_interval(
     """
     center = tooth.center()
     if tooth.nodes.tip.shape[0] == 1:
-        start, stop, is_hit = _intersect(cutter, family, b, c, center)
+        start, stop, is_hit = _intersect_teeth(cutter, family, b, c, center, tooth)
         when = jnp.broadcast_to(tooth.ticks(tooth.passing), is_hit.shape)
         return CutInterval(start, stop, is_hit, when, when)
     # Found once, not by every ray.
@@ -291,22 +317,24 @@ def cut_interval(
         # it in the same place, and then computes one by one.
         node = hold(jnp.maximum(jnp.round(node).astype(jnp.int32), 0))
         near = fine.nodes.taken(node)
-        start, stop, is_hit = _intersect(cutter, family, b, c, near)
+        start, stop, is_hit = _intersect_teeth(cutter, family, b, c, near, tooth)
         when = fine.ticks(node.astype(b.dtype))
         return CutInterval(start, stop, is_hit, when, when)
     # Both ends at once, in a leading axis.
     is_stop = jnp.arange(2, dtype=jnp.int32)[:, None, None] > 0
     u, v = (x[None] for x in _lines(cutter, family, b, c, center))
     pose, node = center, tooth.passing
-    start, stop, is_hit = _intersect(cutter, family, u, v, pose)
+    offset = tooth.offset(cutter, jnp.zeros_like(u))
+    start, stop, is_hit = _intersect(cutter, family, u, v, pose, offset)
     for _ in range(_ROUNDS):
         end = jnp.where(is_stop, stop, start)
         x, y, height = _place(family, u, v, end, is_hit, pose)
         node = tooth.when(cutter, x, y, height)
         pose = hold(tooth.at(node))
-        start, stop, is_hit = _intersect(cutter, family, u, v, pose)
+        offset = tooth.offset(cutter, height)
+        start, stop, is_hit = _intersect(cutter, family, u, v, pose, offset)
     if u.shape[1:] != b.shape or v.shape[1:] != b.shape:
-        start, stop, is_hit = _intersect(cutter, family, b[None], c[None], pose)
+        start, stop, is_hit = _intersect(cutter, family, b[None], c[None], pose, offset)
     is_hit = is_hit[0] & is_hit[1] & (start[0] < stop[1])
     when = jnp.broadcast_to(tooth.ticks(node), (2, *b.shape))
     return CutInterval(start[0], stop[1], is_hit, when[0], when[1])
@@ -336,10 +364,35 @@ def _intersect(
     b: Float[Array, "..."],
     c: Float[Array, "..."],
     pose: Pose,
+    offset: Float[Array, "..."] | None,
 ) -> tuple[Float[Array, "..."], Float[Array, "..."], Bool[Array, "..."]]:
     if pose.axis is None:
-        return cutter.intersect(family, b, c, pose.tip)
-    return cutter.intersect_pose(family, b, c, pose.tip, pose.axis)
+        return cutter.intersect(family, b, c, pose.tip, offset)
+    return cutter.intersect_pose(family, b, c, pose.tip, pose.axis, offset)
+
+
+def _intersect_teeth(
+    cutter: AbstractCutter,
+    family: Literal[0, 1, 2],
+    b: Float[Array, "u v"],
+    c: Float[Array, "u v"],
+    pose: Pose,
+    tooth: ToothPass,
+) -> tuple[Float[Array, "u v"], Float[Array, "u v"], Bool[Array, "u v"]]:
+    """Return what teeth cut in a pose, at any instant at which they look at rays."""
+    offset = tooth.offset(cutter, jnp.zeros_like(b))
+    start, stop, is_hit = _intersect(cutter, family, b, c, pose, offset)
+    if not (cutter.has_runout and cutter.has_helix):
+        return start, stop, is_hit
+    # On a helix the edge stands out by another part of the run-out higher up. Columns
+    # meet an upright cutter from below alone.
+    is_column = pose.axis is None and family == 2
+    found = []
+    for end in (start,) if is_column else (start, stop):
+        height = _place(family, b, c, end, is_hit, pose)[2]
+        offset = tooth.offset(cutter, height)
+        found.append(_intersect(cutter, family, b, c, pose, offset))
+    return found[0][0], found[-1][1], found[0][2] & found[-1][2]
 
 
 def _place(
@@ -360,9 +413,12 @@ def _place(
     if pose.axis is None:
         along = jnp.where(is_hit, end - tip[..., f], 0)
         # Tool x and y are those of `work`.
-        if f == 0:
-            return along, away_b, away_c
-        return away_c, along, away_b
+        x, y, up = (
+            (along, away_b, away_c),
+            (away_c, along, away_b),
+            (away_b, away_c, along),
+        )[f]
+        return x, y, up
     axis = pose.axis
     square = 1 - axis[..., f] ** 2
     near = away_b * axis[..., (f + 1) % 3] + away_c * axis[..., (f + 2) % 3]
