@@ -432,7 +432,7 @@ def _assemble(
     correction, output = tables.correction, tables.output
     assert force is not None and block is not None
     assert correction is not None and output is not None
-    law, bottom_law = force.laws()
+    law, bottom_law = force.laws(cutter)
     return Job(
         name=name,
         cutter=cutter,
