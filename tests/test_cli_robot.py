@@ -111,6 +111,16 @@ def test_a_robot_without_masses_has_no_modes(folder, capsys):
     assert facts["statics"]["stiffness_along_axes_N_per_um"] == [4.0, None, 16.0]
 
 
+def test_a_joint_that_is_hardly_damped_is_named(folder, capsys):
+    stiff = 'stiffness = "16 N/um"\n'
+    text = SLIDES.replace(stiff, f'{stiff}damping = "0.001 N*s/m"\n')
+    (folder / "soft.toml").write_text(text)
+    assert main(["robot", "soft.toml", "--quiet"]) == 0
+    facts = json.loads((folder / "soft-robot" / "robot.json").read_text())
+    notes = [note for note in facts["notes"] if "practically undamped" in note]
+    assert len(notes) == 1 and notes[0].startswith("z is practically undamped: 0.001")
+
+
 @pytest.mark.slow
 def test_drives_make_a_urdf_soft(folder, capsys):
     (folder / "slide.urdf").write_text(

@@ -6,6 +6,7 @@ and the error that lists every fault are in `diffmill.config`.
 """
 
 import dataclasses
+import math
 from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple
 
@@ -14,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ._arrays import cast_floats
+from ._arrays import cast_floats, is_traced
 from ._types import FloatRows3, RealScalarLike, Transform
 from .cutter import AbstractCutter, ToolHolder
 from .cutting import AbstractForceLaw
@@ -295,6 +296,28 @@ class Job(eqx.Module):
     def __check_init__(self):
         if self.robot is not None and self.modes is not None:
             raise ValueError("Argument `modes` must be None beside a robot.")
+
+    def __repr__(self) -> str:
+        """Return what the job is about, in five lines."""
+        if is_traced(self) or np.ndim(self.spindle_speed) > 0:
+            return f"Job({self.name!r}, traced or stacked)"
+        machine = "rigid"
+        if self.modes is not None:
+            machine = f"{len(np.asarray(self.modes.frequencies))} modes at the tool tip"
+        elif self.robot is not None:
+            machine = f"{self.robot.name}, {self.robot.joint_count} joints"
+        kind = type(self.cutter).__name__
+        return (
+            f"Job {self.name!r}: {self.path.step_count} rows in "
+            f"{float(self.path.time[-1] - self.path.time[0]):.3f} s\n"
+            f"  cutter: {kind}, {2e3 * self.cutter.nominal_radius:g} mm, "
+            f"{self.cutter.flute_count} teeth, "
+            f"{float(self.spindle_speed) * 30 / math.pi:.0f} rpm\n"
+            f"  force: {type(self.law).__name__}\n"
+            f"  stock: {1e9 * float(self.stock.volume()):.1f} mm^3, rays "
+            f"{1e3 * self.stock.spacing:g} mm apart\n"
+            f"  machine: {machine}"
+        )
 
     @property
     def is_rigid(self) -> bool:

@@ -85,12 +85,30 @@ def test_material(load):
     assert "no axial" in load('[force]\nmaterial = "brass_quarter_inch"').notes[0]
 
 
-def test_a_material_cut_by_a_right_hand_helix_has_a_note_on_the_axial_sign(load):
-    text = '[force]\nmaterial = "aluminium_3.1325"'
-    straight, twisted = load(text), load(text, helix='helix_angle = "30 deg"')
-    assert len(twisted.notes) == len(straight.notes) + 1
-    assert any("right-hand helix" in note for note in twisted.notes)
-    assert len(load(text, helix='helix_angle = "-30 deg"').notes) == len(straight.notes)
+@pytest.mark.parametrize(
+    ("angle", "sign", "hand"),
+    [(30, -1, "right"), (-30, 1, "left"), (0, 1, None)],
+)
+def test_the_axial_sign_of_a_material_follows_the_hand_of_the_helix(
+    load, angle, sign, hand
+):
+    text = '[force]\nmaterial = "aluminium_7075_t6"'
+    table = cutting.material("aluminium_7075_t6").law
+    job = load(text, helix=f'helix_angle = "{angle} deg"')
+    # A right-hand helix pulls the tool out of its holder, toward the work, along -z.
+    assert float(job.law.K_ac) == sign * table.K_ac != 0
+    assert float(job.law.K_ae) == sign * table.K_ae != 0
+    assert float(job.law.K_tc) == table.K_tc
+    notes = [note for note in job.notes if "-hand helix" in note]
+    assert len(notes) == (hand is not None)
+    assert all(f"{hand}-hand helix" in note for note in notes)
+    if sign < 0:
+        assert "K_ac = -222 N/mm^2, K_ae = -0.7 N/mm" in notes[0]
+
+
+def test_signs_that_a_job_states_are_those_of_its_author(load):
+    law = load(LINEAR, helix='helix_angle = "30 deg"').law
+    assert float(law.K_ac) == float(load(LINEAR).law.K_ac)
 
 
 def test_coefficients_per_tooth(load):

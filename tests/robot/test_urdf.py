@@ -393,5 +393,64 @@ def test_what_is_no_urdf_is_refused_with_the_reason(write):
         dr.load(write("<robot/>", "arm.xacro"))
     with pytest.raises(dr.RobotFileError):
         dr.load(write("[robot]\nrigid = true\n", "job.toml"))
-    with pytest.raises(dr.RobotFileError, match=r"--tool NAME.*wheel"):
+    with pytest.raises(dr.RobotFileError, match=r"--tool tip.*wheel"):
         dr.load(write(GOOD))
+
+
+def arm(**changes):
+    """Return an arm of one joint with some of its text changed."""
+    text = """<robot name="arm">
+  <link name="base"/>
+  <link name="l1">
+    <inertial>
+      <origin xyz="0.3 0 0"/> <mass value="10"/>
+      <inertia ixx="0.1" ixy="0" ixz="0" iyy="0.4" iyz="0" izz="0.4"/>
+    </inertial>
+  </link>
+  <joint name="j1" type="revolute">
+    <parent link="base"/> <child link="l1"/> <axis xyz="0 0 1"/>
+    <origin xyz="0 0 0.5" rpy="0 0 0"/>
+    <limit lower="-2" upper="2" effort="80" velocity="7"/>
+  </joint>
+</robot>"""
+    for old, new in changes.values():
+        assert old in text
+        text = text.replace(old, new)
+    return text
+
+
+def test_attributes_of_a_vendor_beside_the_right_one_pass(write):
+    more = ('velocity="7"', 'velocity="7" gear_velocity="10" k_velocity="3"')
+    assert float(dr.load(write(arm(more=more))).joint_speed[0]) == 7
+    alone = ('velocity="7"', 'gear_velocity="10"')
+    with pytest.raises(dr.RobotFileError, match="gear_velocity"):
+        dr.load(write(arm(alone=alone)))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "note"),
+    [
+        ('rpy="0 0 0"', 'rpy="0 90 0"', "rpy 0 90 0 rad is more than a turn"),
+        ('lower="-2" upper="2"', 'lower="0" upper="0"', "0 to 0 leaves the joint no"),
+    ],
+)
+def test_degrees_and_limits_that_were_not_filled_in_are_noted(write, old, new, note):
+    with pytest.warns(dr.RobotFileWarning, match=note):
+        dr.load(write(arm(one=(old, new))))
+
+
+def test_a_whole_turn_is_no_slip(write):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        dr.load(write(arm(turn=('rpy="0 0 0"', 'rpy="0 0 -6.283185"'))))
+
+
+def test_of_several_leaves_the_tool_is_asked_for_by_name(write):
+    more = """<link name="tool0"/><link name="camera"/>
+  <joint name="a" type="fixed"><parent link="l1"/><child link="tool0"/></joint>
+  <joint name="b" type="fixed"><parent link="l1"/><child link="camera"/></joint>
+</robot>"""
+    file = write(arm(more=("</robot>", more)))
+    with pytest.raises(dr.RobotFileError, match=r"--tool tool0.*are tool0, camera"):
+        dr.load(file)
+    assert dr.load(file, tool="tool0").joint_names == ("j1",)

@@ -253,3 +253,49 @@ def test_single_precision_on_demand(tmp_path):
     stock = wp.from_mesh(file, SPACING, dtype=np.float32)
     assert stock.families[0].ends.dtype == jnp.float32
     assert stock.origin.dtype == jnp.float32
+
+
+def text_stl(mesh, name):
+    """Return a mesh as STL in text, its name in Latin-1."""
+    text = trimesh.exchange.stl.export_stl_ascii(mesh).split("\n", 1)[1]
+    return f"solid {name}\n{text}".encode("latin-1")
+
+
+@pytest.mark.parametrize("suffix", [".stl", ".obj"])
+def test_names_in_any_encoding_are_read(tmp_path, suffix):
+    mesh, name = block([0, 0, 0], [3, 2, 1]), "Fräser \xb5 \xd8"
+    obj = f"o {name}\n{mesh.export(file_type='obj')}".encode("latin-1")
+    file = tmp_path / f"part{suffix}"
+    file.write_bytes(text_stl(mesh, name) if suffix == ".stl" else obj)
+    np.testing.assert_allclose(wp.from_mesh(file, SPACING).volume(), 6e-9, rtol=1e-6)
+
+
+@pytest.mark.parametrize(("apart", "is_closed"), [(1e-6, True), (1e-3, False)])
+def test_corners_that_nearly_meet_are_joined_and_that_is_said(
+    tmp_path, apart, is_closed
+):
+    mesh = block([0, 0, 0], [3, 2, 1])
+    corners = mesh.triangles.reshape(-1, 3).copy()
+    corners[::3] += apart * np.array([0.5, -0.3, 0.4])
+    loose = trimesh.Trimesh(
+        corners, np.arange(len(corners)).reshape(-1, 3), process=False
+    )
+    file = tmp_path / "part.obj"
+    file.write_text(loose.export(file_type="obj", digits=12))
+    if not is_closed:
+        with pytest.raises(ValueError, match="open edges"):
+            wp.from_mesh(file, SPACING)
+        return
+    with pytest.warns(UserWarning, match=r"corners of triangles within 0\.003 um"):
+        stock = wp.from_mesh(file, SPACING)
+    np.testing.assert_allclose(stock.volume(), 6e-9, rtol=1e-5)
+
+
+@pytest.mark.parametrize("count", [0, 5, 11, 13, 2**32 - 1])
+def test_a_wrong_number_of_triangles_is_named(tmp_path, count):
+    file = export(block([0, 0, 0], [3, 2, 1]), tmp_path / "part.stl")
+    data = bytearray(file.read_bytes())
+    data[80:84] = count.to_bytes(4, "little")
+    file.write_bytes(data)
+    with pytest.raises(ValueError, match=f"counts {count} triangles, but 12 follow"):
+        wp.from_mesh(file, SPACING)

@@ -4,6 +4,7 @@ import json
 import pathlib
 import warnings
 from collections.abc import Callable
+from importlib import resources
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -51,7 +52,7 @@ def run_robot(
     # What takes seconds to import waits until it is needed.
     configure_jax()
     from ..io import parse_pose
-    from ..robot import load, spindle_note
+    from ..robot import built_in_models, load, spindle_note
 
     with bad_input(), warnings.catch_warnings(record=True) as noted:
         warnings.simplefilter("always")
@@ -73,6 +74,8 @@ def run_robot(
                 raise ValueError(f"--pose: {error}") from error
     facts = robot_facts(robot, q)
     facts["notes"] += [str(item.message) for item in noted]
+    if model in built_in_models():
+        facts["notes"] += [_description(model)]
     note = spindle_note(model, drives)
     if note is not None and facts["modes"] is not None:
         facts["notes"].append(note)
@@ -86,6 +89,12 @@ def run_robot(
         ResultsFolder.of(folder).write(fill, force=force)
     progress.say(f"results: {folder}")
     return 0
+
+
+def _description(model: str) -> str:
+    """Return what the file of a built-in model says of it as a whole."""
+    file = resources.files("diffmill.robot").joinpath("models", f"{model}.toml")
+    return str(parse_toml(file.read_bytes())["description"])
 
 
 def _is_job(file: pathlib.Path) -> bool:

@@ -16,6 +16,8 @@ else:
     JointPositions = ComplexShape = Any
 
 _LOAD_N = 100.0
+# A damper of this share of the others is none.
+_HARDLY = 1e-3
 
 
 class JointFacts(TypedDict):
@@ -106,6 +108,7 @@ def robot_facts(robot: "Robot", q: "JointPositions") -> RobotFacts:
     elif np.isinf(K).any():
         rigid = [n for n, k in zip(robot.joint_names, K, strict=True) if np.isinf(k)]
         notes.append(f"joints without a spring, taken as rigid: {', '.join(rigid)}")
+    notes += _damping_notes(robot)
     return {
         "model": robot.name,
         "joints": _joints(robot, q),
@@ -116,6 +119,24 @@ def robot_facts(robot: "Robot", q: "JointPositions") -> RobotFacts:
         "modes": modes,
         "notes": notes,
     }
+
+
+def _damping_notes(robot: "Robot") -> list[str]:
+    """Return a note for each joint that is hardly damped beside others of its kind."""
+    D, notes = np.asarray(robot.joint_damping, float), []
+    kinds = np.array(robot.joint_kinds)
+    is_soft = np.isfinite(np.asarray(robot.joint_stiffness)) & ~np.asarray(
+        robot.is_virtual
+    )
+    for k in np.flatnonzero(is_soft):
+        others = D[is_soft & (kinds == kinds[k]) & (np.arange(len(D)) != k)]
+        if others.size and 0 < D[k] < _HARDLY * np.median(others):
+            unit = "N s/m" if kinds[k] == "prismatic" else "N m s/rad"
+            notes.append(
+                f"{robot.joint_names[k]} is practically undamped: {D[k]:.3g} {unit} "
+                f"beside {others.min():.4g} to {others.max():.4g} of the others"
+            )
+    return notes
 
 
 def _joints(robot: "Robot", q: "JointPositions") -> list[JointFacts]:

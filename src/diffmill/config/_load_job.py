@@ -454,7 +454,7 @@ def _assemble(
     correction, output = tables.correction, tables.output
     assert force is not None and block is not None
     assert correction is not None and output is not None
-    law, bottom_law = force.laws()
+    law, bottom_law = force.laws(cutter)
     job = Job(
         name=name,
         cutter=cutter,

@@ -4,6 +4,7 @@ import contextlib
 import io
 import logging
 import os
+import warnings
 import zipfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -24,6 +25,14 @@ _METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 25.4e-3}
 _SUFFIXES, _STOCK = (".stl", ".obj", ".ply"), ".npz"
 
 
+# Share of a mesh's size within which corners are the same.
+_SAME_CORNER = 1e-6
+# Bytes of text, those beyond ASCII as question marks.
+_ASCII = bytes(byte if byte < 128 else ord("?") for byte in range(256))
+# A binary STL: its header, which ends in the number of triangles; a triangle [byte].
+_STL_HEADER, _STL_TRIANGLE = 84, 50
+
+
 class StockFileError(ValueError):
     """Raise when a file holds no stock, or a mesh that bounds no solid."""
 
@@ -38,17 +47,26 @@ def load_mesh(path: str | os.PathLike[str], *, unit: MeshUnit = "mm") -> Mesh:
         unit: Unit of the numbers in the file, which these formats do not tell.
 
     Returns:
-        The mesh in metres, equal vertices joined.
+        The mesh in metres, equal vertices joined; where that leaves gaps, those within
+        a millionth of its size too.
 
     Raises:
         StockFileError: The file cannot be read, or its triangles bound no solid.
         ValueError: The unit is unknown.
+
+    Warns:
+        UserWarning: Vertices that differ were joined.
     """
     scale, suffix = _scale(unit), _suffix(path)
     try:
         data = Path(path).read_bytes()
     except OSError as error:
         raise StockFileError(f"{os.fspath(path)}: cannot be read: {error}") from error
+    if fault := _count_fault(data, suffix):
+        raise StockFileError(f"{os.fspath(path)}: {fault}")
+    if suffix == ".obj" or _is_text_stl(data, suffix):
+        # Names may be in any encoding, and say nothing here.
+        data = data.translate(_ASCII)
     import trimesh
 
     try:
@@ -72,8 +90,21 @@ def load_mesh(path: str | os.PathLike[str], *, unit: MeshUnit = "mm") -> Mesh:
             f"{type(error).__name__}: {error}"
         ) from error
     if fault is None:
-        mesh = weld(Mesh(mesh.vertices * scale, mesh.faces))
-        fault = mesh_fault(mesh)
+        exact = weld(Mesh(mesh.vertices * scale, mesh.faces))
+        fault = mesh_fault(exact)
+        if fault is not None and len(exact.vertices):
+            size = float(np.ptp(exact.vertices, axis=0).max())
+            mesh = weld(exact, _SAME_CORNER * size)
+            joined = len(exact.vertices) - len(mesh.vertices)
+            if joined and mesh_fault(mesh) is None:
+                warnings.warn(
+                    f"{os.fspath(path)}: {joined} corners of triangles within "
+                    f"{_SAME_CORNER * size * 1e6:.3g} um of another one are joined "
+                    "with it: without that the surface has gaps",
+                    stacklevel=2,
+                )
+                exact, fault = mesh, None
+        mesh = exact
     if fault is not None:
         raise StockFileError(f"{os.fspath(path)}: {fault}")
     return mesh
@@ -191,6 +222,27 @@ def load_stock(
     # A damaged archive makes the reader raise anything.
     except Exception as error:
         raise StockFileError(f"{name}: holds no stock: {error}") from error
+
+
+def _is_text_stl(data: bytes, suffix: str) -> bool:
+    """Return whether an STL is text; a binary one may begin with solid too."""
+    is_solid = data[:80].lstrip()[:5].lower() == b"solid"
+    return suffix == ".stl" and is_solid and b"facet" in data[:2000].lower()
+
+
+def _count_fault(data: bytes, suffix: str) -> str | None:
+    """Return what is wrong with the number of triangles of a binary STL, or None."""
+    if suffix != ".stl" or _is_text_stl(data, suffix) or len(data) < _STL_HEADER:
+        return None
+    count = int.from_bytes(data[_STL_HEADER - 4 : _STL_HEADER], "little")
+    whole, more = divmod(len(data) - _STL_HEADER, _STL_TRIANGLE)
+    if count == whole:
+        return None
+    rest = f" and {more} bytes" * (more > 0)
+    return (
+        f"the header of the binary STL counts {count} triangles, but {whole}{rest} "
+        "follow: the file is cut off, or its writer left the count out"
+    )
 
 
 @contextlib.contextmanager

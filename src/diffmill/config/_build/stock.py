@@ -1,5 +1,7 @@
 """The stock of a job: a block, a mesh file, or what an earlier run left."""
 
+import warnings
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -140,13 +142,16 @@ def _from_mesh(
     if path is None or table.spacing is None:
         return None
     try:
-        stock = from_mesh(
-            path,
-            table.spacing,
-            unit=table.mesh_unit or "mm",
-            interval_counts=_slots(table),
-            dtype=dtype,
-        )
+        with warnings.catch_warnings(record=True) as found:
+            warnings.simplefilter("always")
+            stock = from_mesh(
+                path,
+                table.spacing,
+                unit=table.mesh_unit or "mm",
+                interval_counts=_slots(table),
+                dtype=dtype,
+            )
+        context.notes.extend(f"[stock] mesh: {item.message}" for item in found)
     except ValueError as error:
         key = "intervals" if "`interval_counts`" in str(error) else "mesh"
         context.problems.append(f"[stock] {key}: {error}")

@@ -181,35 +181,62 @@ class ForceTables(NamedTuple):
     side: _ForceTable
     bottom: _ForceTable | None
 
-    def laws(self) -> "tuple[AbstractForceLaw, AbstractForceLaw | None]":
-        """Return the laws of side and bottom."""
-        bottom = None if self.bottom is None else self.bottom.force_law()
-        return self.side.force_law(), bottom
+    def laws(
+        self, cutter: "AbstractCutter"
+    ) -> "tuple[AbstractForceLaw, AbstractForceLaw | None]":
+        """Return the laws of side and bottom.
+
+        Tables of materials print the size of the axial coefficients of the side; their
+        sign is that of the hand of the helix.
+
+        Args:
+            cutter: The cutter.
+        """
+        import equinox as eqx
+
+        law = self.side.force_law()
+        for name in self._axial_sizes(cutter):
+            size = abs(float(getattr(law, name)))
+            signed = -size if float(cutter.helix_angle) > 0 else size
+            law = eqx.tree_at(lambda x, name=name: getattr(x, name), law, signed)
+        return law, None if self.bottom is None else self.bottom.force_law()
+
+    def _axial_sizes(self, cutter: "AbstractCutter") -> tuple[str, ...]:
+        """Return the coefficients of which a table prints the size alone."""
+        from ...cutting import LinearEdgeLaw
+
+        if not (cutter.has_helix and isinstance(self.side, MaterialTable)):
+            return ()
+        law = self.side.force_law()
+        if not isinstance(law, LinearEdgeLaw) or float(cutter.helix_angle) == 0:
+            return ()
+        # One with a sign was measured on a cutter whose hand it has.
+        names = ("K_ac", "K_ae")
+        if min(float(getattr(law, name)) for name in names) < 0:
+            return ()
+        return tuple(name for name in names if float(getattr(law, name)) > 0)
 
     def notes(self, cutter: "AbstractCutter") -> tuple[str, ...]:
         """Return what the user should know about the coefficients."""
         bottom = () if self.bottom is None else self.bottom.notes("[force.bottom]")
-        from ...cutting import LinearEdgeLaw
-
         found = self.side.notes("[force]") + bottom
-        is_right_hand = cutter.has_helix and float(cutter.helix_angle) > 0
-        if not (is_right_hand and isinstance(self.side, MaterialTable)):
+        names = self._axial_sizes(cutter)
+        if not names:
             return found
-        law = self.side.force_law()
-        if not isinstance(law, LinearEdgeLaw):
-            return found
-        # As they can be pasted, of the sign that the hand of the helix has.
+        law, _ = self.laws(cutter)
         numbers = [
-            f'{key} = "{sign * float(getattr(law, key)) / scale:.4g} {unit}"'
-            for key, sign in zip(_NAMES, (1, 1, -1, 1, 1, -1), strict=True)
-            for scale, unit in [(1e6, "N/mm^2") if key[-1] == "c" else (1e3, "N/mm")]
+            f"{name} = {float(getattr(law, name)) / scale:.4g} {unit}"
+            for name in names
+            for scale, unit in [_UNITS[name[-1]]]
         ]
+        is_right = float(cutter.helix_angle) > 0
+        hand, way = ("right", "the work") if is_right else ("left", "the shank")
         return (
             *found,
-            "[force] material: tables print the size of axial coefficients, which push "
-            "the tool toward the shank here, while a right-hand helix pulls it toward "
-            "the work; give the law itself with the signs that were measured, perhaps "
-            f"{', '.join(numbers)}",
+            "[force] material: tables print the size of axial coefficients; a "
+            f"{hand}-hand helix pulls the tool toward {way}, so that "
+            f"{', '.join(numbers)} are taken; where signs were measured, give the law "
+            "itself",
         )
 
     def check_teeth(self, teeth: int, problems: list[str]) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..._job import Job
-from ..._types import FloatRows
+from ..._types import FloatRows, readable_signature
 from ...optimise import LeastSquaresStep
 from ...process import ThroughPoses
 from ...sim import JobKinematics, Solution, run_with_room
@@ -152,6 +152,7 @@ class Correction(eqx.Module):
         return correction_dataset(self, surfaces)
 
 
+@readable_signature
 def correct(
     job: Job,
     *,

@@ -3,8 +3,10 @@
 import contextlib
 import functools
 import importlib
+import logging
 import numbers
 import pathlib
+import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -105,14 +107,23 @@ def _package(name: str, path: pathlib.Path) -> Any:
 
 @contextlib.contextmanager
 def _refusing(path: pathlib.Path, kind: str) -> Iterator[None]:
-    """Turn whatever a foreign reader raises at a broken file into a `RecordError`."""
+    """Turn whatever a foreign reader raises at a broken file into a `RecordError`.
+
+    What it would print on the terminal meanwhile is left out.
+    """
+    disabled = logging.root.manager.disable
+    logging.disable(logging.CRITICAL)
     try:
-        yield
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
     except Exception as error:
         reason = " ".join(str(error).split())[:200] or type(error).__name__
         raise RecordError(
             str(path), [f"cannot be read as {kind}: {reason}."]
         ) from error
+    finally:
+        logging.disable(disabled)
 
 
 def _checked(path: pathlib.Path, table: Table) -> Table:

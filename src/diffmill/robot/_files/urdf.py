@@ -72,7 +72,9 @@ def read_urdf(data: bytes, file: str, tool: str | None) -> RobotDescription:
             if tool is None
             else f"there is no link {tool!r} for the tool"
         )
-        how = 'by `tool` (in a job: [robot] tool = "NAME", else --tool NAME)'
+        # The last one is a tool's as a rule: frames of the base stand before.
+        name = next((leaf for leaf in leaves if "tool" in leaf.lower()), leaves[-1])
+        how = f'by `tool` (in a job: [robot] tool = "{name}", else --tool {name})'
         raise_faults(file, [f"{fault}, {how}; the last links are {', '.join(leaves)}"])
     by_name = {link.name: link for link in links}
     start = _root(links, joints)[0]

@@ -52,6 +52,9 @@ _ALIKE = 0.7
 # Beyond these no arm is: turns of a joint [rad], lengths [m], radii of gyration [m].
 _MANY_TURNS, _LONG, _WIDE, _NARROW = 20.0, 20.0, 5.0, 1e-4
 
+# Largest angle of a frame [rad], rounded up.
+_WHOLE_TURN = 6.2832
+
 # Beyond it, products of masses and lengths overflow.
 _TOO_LARGE = 1e60
 
@@ -159,6 +162,8 @@ class UrdfParser:
         """Note a name that is not known, but nearly."""
         if name in known:
             return
+        # Vendors add to the attributes: beside the right one it is no slip.
+        known = tuple(other for other in known if other not in node.attributes)
         alike = difflib.get_close_matches(name, known, n=1, cutoff=_ALIKE)
         if alike:
             self.faults.append(
@@ -301,7 +306,12 @@ class UrdfParser:
         return fastest if fastest > 0 else math.inf
 
     def check_range(self, kind: str, lower: float, upper: float, place: str) -> None:
-        """Note limits that are as far apart as none are in the unit of a URDF."""
+        """Note limits that are as far apart as none are in the unit of a URDF, or 0."""
+        if lower == upper and math.isfinite(lower):
+            self.notes.append(
+                f"{place}: {lower:g} to {upper:g} leaves the joint no motion: were the "
+                "limits not filled in?"
+            )
         farthest = max((abs(x) for x in (lower, upper) if math.isfinite(x)), default=0)
         if kind == "revolute" and farthest > _MANY_TURNS:
             self.notes.append(
@@ -333,6 +343,11 @@ class UrdfParser:
                 self.faults.append(f"{place}: has both rpy and quat_xyzw")
             return UrdfOrigin(position, self.quaternion(origin, place))
         rpy = self.numbers(origin, "rpy", place, _ORIGIN)
+        if max(map(abs, rpy)) > _WHOLE_TURN:
+            found = " ".join(f"{angle:g}" for angle in rpy)
+            self.notes.append(
+                f"{place}: rpy {found} rad is more than a turn: is it in degrees?"
+            )
         return UrdfOrigin(position, rpy_matrix(*rpy))
 
     def quaternion(self, origin: Node, place: str) -> Float[np.ndarray, "3 3"]:

@@ -7,6 +7,7 @@ import numpy as np
 from ..._result import RESULTS
 
 if TYPE_CHECKING:
+    import pandas
     import xarray
 
     from .simulate import Solution
@@ -52,6 +53,7 @@ def solution_dataset(solution: "Solution") -> "xarray.Dataset":
     length = np.concatenate([[0.0], np.cumsum(steps)])
     coordinates: dict[str, Any] = {
         "axis": ["x", "y", "z"],
+        "time": variables.pop("time"),
         "path_length": (
             "step",
             length,
@@ -70,3 +72,20 @@ def solution_dataset(solution: "Solution") -> "xarray.Dataset":
             "is_successful": int(bool(solution.result == RESULTS.successful)),
         },
     )
+
+
+def solution_table(solution: "Solution") -> "pandas.DataFrame":
+    """Return a solution as a table, its columns named as `force_x`."""
+    import pandas
+
+    columns = {}
+    for name, variable in solution_dataset(solution).reset_coords().items():
+        if variable.dims == ("step",):
+            columns[str(name)] = variable.values
+        elif variable.dims[:1] == ("step",):
+            labels = variable.coords[variable.dims[1]].values
+            columns |= {
+                f"{name}_{label}": values
+                for label, values in zip(labels, variable.values.T, strict=True)
+            }
+    return pandas.DataFrame(columns).rename_axis("step")

@@ -15,7 +15,7 @@ from ..._arrays import cast_floats, is_traced, on_device
 from ..._job import Job
 from ..._live_rows import pad_rows
 from ..._result import RESULTS, SimulationFailed
-from ..._types import FloatRows, FloatRows3
+from ..._types import FloatRows, FloatRows3, readable_signature
 from ...numerics import CompiledOnce
 from ...process import (
     AbstractAdjoint,
@@ -41,6 +41,7 @@ from .intervals import with_more_intervals
 from .padding import cut_rows, padded_job
 
 if TYPE_CHECKING:
+    import pandas
     import xarray
 
 # Called between the parts of a run with a message and the share done.
@@ -197,13 +198,44 @@ class Solution(eqx.Module):
         """Return actual - desired [m], shape (step, 3)."""
         return self.actual - self.desired
 
+    def __repr__(self) -> str:
+        """Return what came out, in five lines."""
+        rows = self.time.shape[-1]
+        if is_traced(self) or self.time.ndim > 1:
+            return f"Solution(rows of {self.time.shape})"
+        error = 1e6 * np.asarray(self.contour_error)[np.asarray(self.is_cutting)]
+        force = np.linalg.norm(np.asarray(self.force), axis=1)
+        cut = "nothing is cut"
+        if error.size:
+            rms, most = np.sqrt(np.mean(error**2)), error[np.argmax(np.abs(error))]
+            cut = f"contour error {rms:.2f} um rms, {abs(most):.2f} um at most"
+        outcome = RESULTS[self.result] if self.result != RESULTS.successful else ""
+        return (
+            f"Solution of {rows} rows in {float(self.time[-1]):.3f} s\n"
+            f"  where the tool cuts, {error.size} rows: {cut}\n"
+            f"  force: {force.max():.1f} N at most, mean over a tooth period\n"
+            f"  removed: {1e9 * float(np.sum(self.removed_volume)):.1f} mm^3, "
+            f"left: {1e9 * float(self.stock.volume()):.1f} mm^3\n"
+            f"  outcome: {outcome or 'successful'}"
+        )
+
     def to_dataset(self) -> "xarray.Dataset":
         """Return the rows as an `xarray.Dataset`, units in the attributes."""
         from .dataset import solution_dataset
 
         return solution_dataset(self)
 
+    def to_dataframe(self) -> "pandas.DataFrame":
+        """Return a table with a row per tooth period: `force_x`, `joint_positions_1`.
 
+        Values are in SI; the index is the number of the row.
+        """
+        from .dataset import solution_table
+
+        return solution_table(self)
+
+
+@readable_signature
 def simulate(
     job: Job,
     *,

@@ -106,15 +106,29 @@ class Mesh(eqx.Module):
         return count
 
 
-def weld(mesh: Mesh) -> Mesh:
+def weld(mesh: Mesh, tolerance: float = 0.0) -> Mesh:
     """Return a mesh whose equal vertices are one, without collapsed triangles.
 
     Args:
         mesh: Any mesh; formats such as STL repeat the corners of every triangle.
+        tolerance: Distance within which vertices are equal [m].
     """
     # Adding zero makes -0 and 0 the same.
     vertices, index = np.unique(mesh.vertices + 0.0, axis=0, return_inverse=True)
     faces = index.reshape(-1)[mesh.faces]
+    if tolerance > 0:
+        from scipy.sparse import coo_array
+        from scipy.sparse.csgraph import connected_components
+        from scipy.spatial import KDTree
+
+        count = len(vertices)
+        near = KDTree(vertices).query_pairs(tolerance, output_type="ndarray")
+        pairs = coo_array(
+            (np.ones(len(near)), (near[:, 0], near[:, 1])), (count, count)
+        )
+        _, group = connected_components(pairs, directed=False)
+        _, first = np.unique(group, return_index=True)
+        vertices, faces = vertices[first], group[faces]
     is_flat = (faces == np.roll(faces, 1, axis=1)).any(axis=1)
     return Mesh(vertices, faces[~is_flat])
 

@@ -1,0 +1,74 @@
+"""Jobs and solutions as text and as tables: what a notebook shows of them."""
+
+import inspect
+
+import equinox as eqx
+import jax
+import numpy as np
+import pytest
+
+import diffmill as dm
+from small_job import small_job
+
+CUTTER = 'kind = "flat"\ndiameter = "10 mm"\nteeth = 2'
+PROGRAM = "G21 G17 G90 G94\nG0 X-6 Y4 Z-1\nG1 X-4 F6000\nM2\n"
+
+
+@pytest.fixture(scope="module")
+def job(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("text")
+    (folder / "part.ngc").write_text(PROGRAM)
+    (folder / "job.toml").write_text(small_job(CUTTER))
+    return dm.load_job(folder / "job.toml")
+
+
+@pytest.fixture(scope="module")
+def solution(job):
+    return dm.simulate(job)
+
+
+def test_a_job_is_five_lines(job):
+    lines = repr(job).splitlines()
+    assert len(lines) == 5
+    assert lines[0].startswith(f"Job 'job': {job.path.step_count} rows in 0.")
+    assert lines[1] == "  cutter: EndMill, 10 mm, 2 teeth, 8000 rpm"
+    assert lines[3] == "  stock: 192.0 mm^3, rays 0.5 mm apart"
+    assert lines[4] == "  machine: rigid"
+    seen = []
+    jax.eval_shape(lambda speed: seen.append(repr(with_speed(job, speed))), 800.0)
+    assert seen == ["Job('job', traced or stacked)"]
+
+
+def with_speed(job, speed):
+    return eqx.tree_at(lambda j: j.spindle_speed, job, speed)
+
+
+def test_help_shows_a_signature_that_can_be_read():
+    for function in (dm.simulate, dm.correct):
+        text = str(inspect.signature(function))
+        assert "diffmill." not in text and "jaxtyping." not in text
+        assert "job: Job" in text
+        # What checks types by annotations still finds them.
+        assert function.__annotations__["job"] is dm.Job
+
+
+@pytest.mark.slow
+def test_a_solution_is_five_lines(solution):
+    lines = repr(solution).splitlines()
+    assert len(lines) == 5
+    assert lines[0].startswith(f"Solution of {len(solution.time)} rows")
+    assert "contour error 0.00 um rms" in lines[1]
+    assert lines[4] == "  outcome: successful"
+
+
+@pytest.mark.slow
+def test_time_is_a_coordinate_and_a_table_has_a_row_per_tooth_period(solution):
+    dataset = solution.to_dataset()
+    assert dataset.time.dims == ("step",) and "time" in dataset.coords
+    rows = len(solution.time)
+    of_rows = dataset[["contour_error", "removed_volume"]].to_dataframe()
+    assert len(of_rows) == rows and "time" in of_rows
+    table = solution.to_dataframe()
+    assert len(table) == rows
+    np.testing.assert_array_equal(table.force_y, solution.force[:, 1])
+    np.testing.assert_array_equal(table.time, solution.time)
