@@ -202,6 +202,7 @@ class ModeStudy(NamedTuple):
                 reason = str(error)
             found = ResponseFaults()
             if isinstance(one, FrequencyResponse):
+                assert not isinstance(fit, RingDownFit)
                 found = one.faults(fit)
             if fit is None:
                 if found.is_conjugate:

@@ -165,7 +165,7 @@ def _matrix_columns(name: str, value: Any, labels: list[str] | None) -> list[Col
         return []
     if array.dtype.kind == "c":
         # A complex vector is a real and an imaginary one, named in reading order.
-        parts = {"real": array.real, "imaginary": array.imag}
+        parts = {"real": np.real(array), "imaginary": np.imag(array)}
         names = labels or [name]
         return [
             column

@@ -94,8 +94,8 @@ def _table(path: pathlib.Path, functions: list[_Function]) -> Table:
         parts = {f.name: f.values}
         if np.iscomplexobj(f.values):
             parts = {
-                f"{f.name} real": f.values.real,
-                f"{f.name} imaginary": f.values.imag,
+                f"{f.name} real": np.real(f.values),
+                f"{f.name} imaginary": np.imag(f.values),
             }
         columns += [
             Column(name, f.unit, lambda part=part: np.asarray(part, np.float64))
