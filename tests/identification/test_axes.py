@@ -111,7 +111,8 @@ def test_two_channels_tell_the_axes_that_they_see(channel):
         if axis == 2:
             # Nothing but the sign of the channel that is not there is left open.
             np.testing.assert_array_equal(best.matrix[:2], matrix[:2])
-            assert proposal.is_clear and "no channel for z" in proposal.evidence[3]
+            assert proposal.is_clear
+            assert "There is no channel for z." in proposal.evidence
         assert best.residual < 0.15
         lost = int(np.argmax(np.abs(best.matrix[:, channel])))
         np.testing.assert_array_equal(
@@ -132,7 +133,7 @@ def test_all_signs_reversed_fit_as_well_but_make_no_sense():
 
 
 @pytest.mark.parametrize("hand", [1, -1])
-def test_of_a_helix_the_sign_of_z_stays_as_recorded(hand):
+def test_of_a_helix_the_hand_decides_the_sign_of_z_where_nothing_else_can(hand):
     # A right-hand helix pulls toward the work.
     force = columns_of(TIME) @ (TRUTH * [1, 1, -hand, 1, 1, -hand])
     for turn in (np.eye(3), np.diag([1.0, -1.0, 1.0]), np.diag([-1.0, -1.0, -1.0])):
@@ -140,10 +141,17 @@ def test_of_a_helix_the_sign_of_z_stays_as_recorded(hand):
             measured(turn, force), columns_of(TIME), RATE, helix_angle=0.5 * hand
         )
         best = proposal.proposals[0]
-        np.testing.assert_array_equal(best.matrix[:2], turn[:2])
-        assert best.matrix[2, 2] == 1 and proposal.is_clear
-        # It says so where z as recorded has not the sign of the helix.
-        assert ("helix" in " ".join(best.violations)) == (turn[2, 2] < 0)
+        # The last one is a dynamometer below the part, the force on the workpiece.
+        np.testing.assert_array_equal(best.matrix, turn)
+        assert proposal.is_clear and not best.violations
+        assert "helix" in next(e for e in proposal.evidence if "sign of z" in e)
+        # Where someone has given z the other way, the axes are not doubted.
+        (other,) = [
+            c
+            for c in proposal.candidates
+            if np.array_equal(c.matrix, np.diag([1.0, 1, -1]) @ turn)
+        ]
+        assert 0 < other.score - best.score < 0.05 and "helix" in other.violations[0]
 
 
 def test_noise_alone_is_not_clear():
@@ -161,3 +169,18 @@ def test_wrong_input_is_refused():
         propose_axes(np.zeros((2000, 3)), columns, RATE)
     with pytest.raises(ValueError, match="4000"):
         propose_axes(np.ones((2000, 3)), columns, RATE, max_shift=0.1)
+
+
+def test_where_the_force_is_known_to_be_that_on_the_tool_the_axes_are_right_handed():
+    """The recorded z then follows from x and y, whatever the helix says of it."""
+    # A right-hand helix whose axial force has the wrong sign.
+    force = columns_of(TIME) @ TRUTH
+    half_turn = np.diag([-1.0, -1.0, 1.0])
+    alone = propose_axes(
+        measured(half_turn, force), columns_of(TIME), RATE, helix_angle=0.5
+    )
+    assert alone.proposals[0].axes == ("-x", "-y", "-z")
+    known = alone.for_right_handed_axes()
+    assert known.proposals[0].axes == ("-x", "-y", "z")
+    (sentence,) = [e for e in known.evidence if "sign of z" in e]
+    assert sentence.endswith("the other one makes the axes left-handed.")

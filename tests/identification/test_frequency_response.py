@@ -114,3 +114,25 @@ def test_a_damped_mode_beside_sharp_ones_is_found_in_a_ring_down():
     np.testing.assert_allclose(fit.frequencies, [m[0] for m in modes], rtol=0.01)
     np.testing.assert_allclose(fit.damping_ratios, [m[1] for m in modes], rtol=0.05)
     assert np.std(signal - fit.fitted) < 0.012
+
+
+def study(response):
+    """Return the study of a response at one point, struck and measured there."""
+    lines = np.ones(FREQUENCY.size, bool)
+    one = identification.FrequencyResponse(
+        "tip", FREQUENCY, response, "receptance", lines, 2, None, None, (), [1, 0, 0]
+    )
+    return identification.ModeStudy("tip", None, (one,)).run()
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("is_conjugate", [False, True])
+def test_a_wrong_sign_of_response_or_phase_is_named_as_that(sign, is_conjugate):
+    seen = sign * response(noise=0.01)
+    if is_conjugate:
+        # Such a response shows no modes at all.
+        with pytest.raises(identification.StudyError, match="phase has the wrong sign"):
+            study(np.conj(seen))
+        return
+    (faults,) = study(seen).faults
+    assert faults == (False, sign < 0)

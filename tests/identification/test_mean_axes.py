@@ -41,6 +41,22 @@ def test_turned_means_are_told_and_turned_back(order, signs):
         assert abs(right[0].fit.coefficients[name] / k - 1) < 0.1
 
 
+def test_a_reversed_dynamometer_is_told_by_the_hand_of_the_helix():
+    """Of all three axes reversed only z is left to the sign of the axial force."""
+    entry, leave = 0.0, math.radians(75)
+    how = {**SLOT, "entry_angle": entry, "exit_angle": leave, "helix_angle": 0.5}
+    # A right-hand helix pulls toward the work.
+    force = means(entry, leave) * np.array([1, 1, -1])[None]
+    best, next_best, *_ = identification.propose_mean_axes(FEEDS, -force, **how)
+    assert best.axes == ("-x", "-y", "-z") and best.score < next_best.score
+    # Known to be the force on the tool, a left-handed assignment is unlikely.
+    best, *_ = identification.propose_mean_axes(
+        FEEDS, -force, **how, is_right_handed=True
+    )
+    assert best.axes == ("-x", "-y", "z")
+    assert next(iter(best.violations)).endswith("unlike a right-hand helix")
+
+
 def test_a_slot_read_with_wrong_axes_makes_no_sense():
     recorded = means()[:, [1, 0, 2]]
     found = identification.propose_mean_axes(FEEDS, recorded, **SLOT)

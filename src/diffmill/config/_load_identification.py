@@ -140,6 +140,7 @@ def _settings(table: FitTable) -> ForceSettings:
         shift_range=table.shift_range,
         lowpass=table.lowpass,
         refines_speed=table.refine_speed,
+        force_on=table.force_on,
     )
 
 
@@ -163,6 +164,8 @@ def _forces(
             records.append(record)
     fit = FitTable() if tables.fit is None else tables.fit
     settings = _settings(fit)
+    if settings.force_on == "workpiece":
+        records = [one.reversed() for one in records]
     if not are_means:
         return ForceRecordStudy(name, tuple(records), settings)
     context.problems.extend(
@@ -177,7 +180,10 @@ def _forces(
             "speed from; allowed with [[record]]"
         )
     given = None if tables.record is None else tuple(records)
-    return mean_force_task(name, tables.means, given, settings, context)
+    study = mean_force_task(name, tables.means, given, settings, context)
+    if study is not None and given is None and settings.force_on == "workpiece":
+        study = study._replace(mean_force=-study.mean_force)
+    return study
 
 
 def _check_speed(

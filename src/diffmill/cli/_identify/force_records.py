@@ -33,7 +33,7 @@ def report_records(study: ForceRecordStudy, found: ForceRecordStudy.Fit) -> Repo
     of_fit = fit.diagnoses if found.has_likely_axes else ()
     lines = [
         *record_lines(records, found.registrations),
-        *axes_lines(records, found, takes_proposed=study.settings.takes_proposed),
+        *axes_lines(study, found),
         *_fit_lines(study, found),
         *diagnosis_lines(of_fit, fit.axes, [one.name for one in records]),
         *tooth_lines(
@@ -99,6 +99,7 @@ def _facts(study: ForceRecordStudy, found: ForceRecordStudy.Fit) -> dict[str, An
         "residual_rms_N": fit.residual_rms,
         "force_rms_N": fit.force_rms,
         "axes": fit.axes,
+        "force_on": study.settings.force_on,
         "proposed_axes": [
             {
                 "axes": one.axes,

@@ -8,7 +8,7 @@ from ...identification import MeanForceStudy
 from ...viz import plot_correlation, plot_mean_forces
 from .diagnoses import diagnosis_facts, diagnosis_lines
 from .report import Report, all_noted, noted
-from .text import axes_text, coefficient_lines, correlation_lines
+from .text import axes_text, coefficient_lines, correlation_lines, force_on_text
 from .toml_snippets import NOISE_ALONE, fitted_force_toml
 
 
@@ -24,7 +24,7 @@ def report_means(study: MeanForceStudy, found: MeanForceStudy.Fit) -> Report:
     lines = [
         *_input_lines(study),
         *diagnosis_lines(found.diagnoses, records=names),
-        *_axes_lines(found, takes_proposed=study.settings.takes_proposed),
+        *_axes_lines(study, found),
         *_fit_lines(found),
         *_amplitude_lines(study, found),
     ]
@@ -34,6 +34,7 @@ def report_means(study: MeanForceStudy, found: MeanForceStudy.Fit) -> Report:
         "feed_per_tooth_m": study.feed_per_tooth,
         "mean_force_N": found.force,
         "axes": used.axes,
+        "force_on": study.settings.force_on,
         "proposed_axes": found.axes[0].axes,
         "coefficients_SI": fit.coefficients,
         "standard_errors_SI": fit.standard_errors,
@@ -94,11 +95,17 @@ def _input_lines(study: MeanForceStudy) -> list[str]:
     return lines
 
 
-def _axes_lines(found: MeanForceStudy.Fit, *, takes_proposed: bool) -> list[str]:
+def _axes_lines(study: MeanForceStudy, found: MeanForceStudy.Fit) -> list[str]:
     """Return what the means say of the axes; nothing is changed by it."""
     used = found.used
-    why = "the likeliest, as asked for" if takes_proposed else "as given or recorded"
-    lines = [f"axes: {axes_text(used.axes)} ({why})"]
+    settings = study.settings
+    why = "as given or recorded"
+    if settings.takes_proposed:
+        why = "the likeliest, as asked for"
+    lines = [
+        f"axes: {axes_text(used.axes)} ({why})",
+        f"  {force_on_text(used.axes, settings.force_on)}",
+    ]
     lines += [f"  against them: {violation}" for violation in used.violations]
     best = found.axes[0]
     if not found.has_likely_axes:
@@ -107,8 +114,9 @@ def _axes_lines(found: MeanForceStudy.Fit, *, takes_proposed: bool) -> list[str]
             f"The axes {axes_text(best.axes)} make more sense (against them: {against};"
             f" K_tc {best.fit.coefficients['K_tc'] * 1e-6:.4g}, K_rc "
             f"{best.fit.coefficients['K_rc'] * 1e-6:.4g}, K_ac "
-            f"{best.fit.coefficients['K_ac'] * 1e-6:.4g} N/mm^2). Nothing was changed; "
-            'give `axes` in [fit], or "proposed".',
+            f"{best.fit.coefficients['K_ac'] * 1e-6:.4g} N/mm^2): "
+            f"{force_on_text(best.axes, settings.force_on)}. Nothing was changed; give "
+            '`axes` or `force_on` in [fit], or axes = "proposed".',
             "warning",
         )
     alike = [one for one in found.axes if one.score <= best.score and one is not best]

@@ -39,14 +39,17 @@ def report_modes(study: ModeStudy, found: ModeStudy.Fit) -> Report:
     """
     is_ring = isinstance(study.measured[0], RingDown)
     lines: list[str] = []
-    for one, fit in zip(study.measured, found.modes, strict=True):
+    for one, fit, faults in zip(study.measured, found.modes, found.faults, strict=True):
         lines += _mode_lines(one, fit, is_ring)
+        lines += all_noted(_fault_texts(faults), "warning")
     lines += _match_lines(study, found)
     facts: dict[str, Any] = {
         "kind": "ring_down" if is_ring else "frequency_response",
         "measured": [
-            {"name": one.name, **_mode_facts(fit)}
-            for one, fit in zip(study.measured, found.modes, strict=True)
+            {"name": one.name, **_mode_facts(fit), **faults._asdict()}
+            for one, fit, faults in zip(
+                study.measured, found.modes, found.faults, strict=True
+            )
         ],
     }
     damping, robot = found.damping, study.robot
@@ -89,13 +92,15 @@ def _machine_toml(study: ModeStudy, found: ModeStudy.Fit) -> list[str]:
     """Return the modes of a machine, of what was measured at its tool tip."""
     return [
         line
-        for one, fit in zip(study.measured, found.modes, strict=True)
+        for one, fit, faults in zip(
+            study.measured, found.modes, found.faults, strict=True
+        )
         if isinstance(one, FrequencyResponse) and one.direction is not None
-        for line in _mode_tables(one, fit)
+        for line in _mode_tables(one, fit, faults)
     ]
 
 
-def _mode_tables(one: FrequencyResponse, fit: Any) -> list[str]:
+def _mode_tables(one: FrequencyResponse, fit: Any, faults: Any) -> list[str]:
     """Return the modes of one direction as tables of a job."""
     lines = []
     # At the point that is struck every mode moves with the force.
@@ -111,7 +116,27 @@ def _mode_tables(one: FrequencyResponse, fit: Any) -> list[str]:
             f"direction = {one.direction}",
             f'stiffness = "{fit.stiffness[k]:.8g} N/m"',
         ]
+    if any(faults):
+        return doubted(lines, f"{one.name}: a wrong sign; see summary.txt.")
     return doubted(lines, _too_little(one)) if fit.explained < _LITTLE else lines
+
+
+def _fault_texts(faults: Any) -> list[str]:
+    """Return what signs of a response no structure has, in words."""
+    texts = []
+    if faults.is_conjugate:
+        texts.append(
+            "The phase has the wrong sign, as of a file that holds the complex "
+            "conjugate or a phase lag: with the sign of the imaginary part (or of the "
+            "phase) reversed the modes explain it. Nothing was changed."
+        )
+    if faults.is_reversed:
+        texts.append(
+            "The response has the wrong sign: the point moves against the force on it. "
+            "Hammer and sensor point in opposite directions, or a channel is reversed. "
+            "Nothing was changed."
+        )
+    return texts
 
 
 def _too_little(one: FrequencyResponse | RingDown) -> str:

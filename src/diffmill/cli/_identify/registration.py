@@ -13,7 +13,7 @@ from ...identification import (
 )
 from .diagnoses import diagnosis_lines
 from .report import all_noted, noted
-from .text import axes_text
+from .text import axes_text, force_on_text
 
 # Forces that agree less in size over a job, or overlap less of its cut, are doubted.
 _ALIKE, _COVERED = 0.8, 0.9
@@ -92,27 +92,30 @@ def record_lines(
     return lines
 
 
-def axes_lines(
-    records: Sequence[ForceRecord], found: ForceRecordStudy.Fit, *, takes_proposed: bool
-) -> list[str]:
+def axes_lines(study: ForceRecordStudy, found: ForceRecordStudy.Fit) -> list[str]:
     """Return what the records say of their axes; nothing is changed by it.
 
     Args:
-        records: The records.
+        study: The records, and what the file says of their axes.
         found: The fit.
-        takes_proposed: Whether the file asks for the likeliest.
     """
+    records, takes_proposed = study.records, study.settings.takes_proposed
+    force_on = study.settings.force_on
     proposal, axes = found.proposal, found.fit.axes
     best = proposal.proposals[0]
     used = next(c for c in proposal.candidates if c.axes == axes)
     why = "the likeliest, as asked for" if takes_proposed else "as given or recorded"
-    lines = [f"axes: {axes_text(axes)} ({why})"]
+    lines = [
+        f"axes: {axes_text(axes)} ({why})",
+        f"  {force_on_text(axes, force_on)}",
+    ]
     if not found.has_likely_axes:
         lines += noted(
             f"The axes {axes_text(best.axes)} make more sense: score "
             f"{best.score:.3f} against {used.score:.3f}; by a quick fit of each, "
             f"{best.residual:.1%} of the rms force is left against "
-            f"{used.residual:.1%}. Nothing was changed; give `axes` in [fit], or "
+            f"{used.residual:.1%}. {force_on_text(best.axes, force_on).capitalize()}. "
+            "Nothing was changed; give `axes` or `force_on` in [fit], or axes = "
             '"proposed".',
             "warning",
         )

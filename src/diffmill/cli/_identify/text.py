@@ -61,6 +61,32 @@ def kept_remark(names: Sequence[str], known: Bool[np.ndarray, " name"]) -> str |
     return f"without the error of {', '.join(kept)}: as in the model, maybe far off"
 
 
+def force_on_text(axes: Sequence[str], force_on: str | None) -> str:
+    """Return on what the recorded forces are taken to act, and what no data can tell.
+
+    Args:
+        axes: For x, y, z of the work the recorded axis.
+        force_on: "workpiece", "tool", or None if the file does not say.
+    """
+    order = np.eye(3)[["xyz".index(name[-1]) for name in axes]]
+    signs = np.array([-1.0 if name.startswith("-") else 1.0 for name in axes])
+    is_left_handed = bool(np.linalg.det(signs[:, None] * order) < 0)
+    if force_on is not None:
+        done = "was reversed first" if force_on == "workpiece" else "was taken as it is"
+        hand = "; these axes are left-handed all the same" if is_left_handed else ""
+        return f"the recorded force, on the {force_on}, {done}{hand}"
+    if not is_left_handed:
+        return (
+            "that is the force on the tool in right-handed axes; a dynamometer below "
+            'the part records that on the workpiece: force_on = "workpiece" in [fit]'
+        )
+    turned = [n[1:] if n.startswith("-") else f"-{n}" for n in axes]
+    return (
+        "in right-handed axes that is the force on the workpiece: as force_on = "
+        f'"workpiece" with axes = {axes_text(turned)}, or a channel is reversed'
+    )
+
+
 def axes_text(axes: Sequence[str]) -> str:
     """Return axes as a TOML list."""
     return "[" + ", ".join(f'"{name}"' for name in axes) + "]"

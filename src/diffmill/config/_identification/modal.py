@@ -27,6 +27,8 @@ _PARTS = {
     "imaginary": r"im|imag\w*( part)?|h_?im(ag)?|imagin\w*",
     "magnitude": r"mag\w*|abs\w*|amplitude|betrag|h|modulus|\|h\|",
 }
+# Parts of a complex vector, whatever it is called.
+_COMPLEX = {"real": r" real$", "imaginary": r" imaginary$"}
 # Units of a response per unit of force, by what is measured.
 _RESPONSES = {
     "receptance": q.RECEPTANCE,
@@ -182,7 +184,7 @@ def _response(reader: TableReader, kind: q.QuantityKind) -> _Response:
         RecordError: There are no columns for it.
     """
     parts = {
-        key: Quantity(key, pattern, (kind,), ("response",))
+        key: Quantity(key, pattern, (kind,), ("response",), _COMPLEX.get(key, ""))
         for key, pattern in _PARTS.items()
     }
     reader.allow((_FREQUENCY, *parts.values(), _PHASE))

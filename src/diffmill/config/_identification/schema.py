@@ -146,6 +146,12 @@ class FitTable(TomlTable):
         description="for x, y, z of the work the recorded axis, such as "
         '["-y", "x", "z"], or "proposed" for the likeliest; as recorded if left out',
     )
+    force_on: Literal["workpiece", "tool"] | None = Field(
+        default=None,
+        description="on what the recorded forces act: a dynamometer below the part "
+        "records those on the workpiece, which are reversed before axes are looked at; "
+        "not told if left out, and the recorded axes may then be reversed",
+    )
     loss: Literal["squares", "huber", "tukey"] = Field(
         default="huber", description="how errors count; tukey is for many gross errors"
     )

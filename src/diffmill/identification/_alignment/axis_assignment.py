@@ -23,8 +23,8 @@ from .axis_proposal import (
 
 # What a violation of physics adds to a relative residual between 0 and 1. A negative
 # tangential or radial force weighs most. The axial force of straight flutes is taken to
-# push toward the shank. A helix pulls the other way than tables print, so that there it
-# decides nothing, and is only told.
+# push toward the shank, that of a helix along its hand. Both weigh little: they decide
+# where nothing else can, and say nothing against axes that someone has looked at.
 _PENALTIES = {
     "the tangential force is negative": 0.5,
     "the radial force is negative": 0.5,
@@ -32,8 +32,14 @@ _PENALTIES = {
 }
 _AXIAL = {
     0: ("the axial force is negative", 0.02),
-    1: ("the axial force is positive, but a right-hand helix pulls toward the work", 0),
-    -1: ("the axial force is negative, but a left-hand helix pushes to the shank", 0),
+    1: (
+        "the axial force is positive, but a right-hand helix pulls toward the work",
+        0.02,
+    ),
+    -1: (
+        "the axial force is negative, but a left-hand helix pushes to the shank",
+        0.02,
+    ),
 }
 _RATIOS = (0.1, 1.0)
 
@@ -53,10 +59,10 @@ def propose_axes(
     at the time shift with the least score. The score is the relative residual plus a
     penalty for what physics forbids: tangential and radial force are positive (edge
     included, at the mean chip), radial over tangential force lies within 0.1 to 1, the
-    axial force of straight flutes is positive. The residual tells the axes apart as
-    long as the forces vary within a turn; it does not show all signs at once reversed,
-    nor the sign of z alone, for which only the penalties speak: of a helical cutter,
-    none, so that z stays as it was recorded.
+    axial force of straight flutes is positive, that of a helix has the sign of its
+    hand. The residual tells the axes apart as long as the forces vary within a turn; it
+    does not show all signs at once reversed, nor the sign of z alone, for which only
+    the penalties speak.
 
     Args:
         force: Record less its offset, at equal steps [N], shape (sample, 3); a channel

@@ -8,6 +8,9 @@ from jaxtyping import Float
 
 # Scores that differ by less are no evidence.
 _CLEAR = 0.05
+# What left-handed axes add to a score where they must be right-handed: more than the
+# sign of the axial force, less than what is evidence.
+_LEFT_HANDED = 0.04
 # Scores that differ by rounding alone are the same.
 _DIGITS = 9
 _AXES = "xyz"
@@ -86,6 +89,18 @@ class AxesProposal(NamedTuple):
     candidates: tuple[AxesCandidate, ...]
     is_clear: bool
     evidence: tuple[str, ...]
+
+    def for_right_handed_axes(self) -> "AxesProposal":
+        """Return the proposal where the record is known to be the force on the tool.
+
+        Axes that are left-handed in those of the simulation are then unlikely.
+        """
+        return proposal_of(
+            tuple(
+                one._replace(score=one.score + _LEFT_HANDED * one.is_mirrored)
+                for one in self.candidates
+            )
+        )
 
 
 def combine_axes_proposals(proposals: Sequence[AxesProposal]) -> AxesProposal:
@@ -170,8 +185,28 @@ def proposal_of(candidates: tuple[AxesCandidate, ...]) -> AxesProposal:
     ]
     margin = rivals[0].score - best.score
     return AxesProposal(
-        tuple(of_order.values()), ranked, margin > _CLEAR, _evidence(best, rivals[0])
+        tuple(of_order.values()),
+        ranked,
+        margin > _CLEAR,
+        (*_evidence(best, rivals[0]), *_sign_of_z(ranked)),
     )
+
+
+def _sign_of_z(ranked: Sequence[AxesCandidate]) -> tuple[str, ...]:
+    """Say what the sign of z of the likeliest axes rests on."""
+    best = ranked[0]
+    if not np.isfinite(best.mean_recorded[2]):
+        return ("There is no channel for z.",)
+    reverse = np.diag([1.0, 1.0, -1.0])
+    twin = next(c for c in ranked if np.array_equal(c.matrix, reverse @ best.matrix))
+    against = [text for text in twin.violations if text not in best.violations]
+    if round(twin.score - best.score, _DIGITS) == 0:
+        reason = "it is as recorded"
+    elif against:
+        reason = f"with the other one {'; '.join(against)}"
+    else:
+        reason = "the other one makes the axes left-handed"
+    return (f"No fit shows the sign of z: {reason}.",)
 
 
 def _evidence(best: AxesCandidate, rival: AxesCandidate) -> tuple[str, ...]:
@@ -189,9 +224,6 @@ def _evidence(best: AxesCandidate, rival: AxesCandidate) -> tuple[str, ...]:
         f"{rival.score:.3f}).",
         f"Radial over tangential force is {best.radial_ratio:.3f}.",
         f"The means have the signs {' '.join(signs)}, the fit's {' '.join(fitted)}.",
-        "No fit shows the sign of z: it rests on that of the axial force alone."
-        if seen[2]
-        else "There is no channel for z.",
     ]
     if best.is_mirrored:
         lines.append("The recorded axes are left-handed in those of the simulation.")

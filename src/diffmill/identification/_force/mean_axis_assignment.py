@@ -31,20 +31,21 @@ _VIOLATIONS = (
     _Violation("K_te is negative", 1.0),
     _Violation("K_re is negative", 1.0),
 )
-# The axial force of straight flutes is taken to push toward the shank. A helix pulls
-# the other way than tables print, so that there it decides nothing, and is only told.
+# The axial force of straight flutes is taken to push toward the shank, that of a helix
+# along its hand; that one decides only where nothing else can.
 _AXIAL = {
     0: (
         _Violation("the mean axial force is negative", 0.5),
         _Violation("K_ac is negative", 0.25),
     ),
     1: (
-        _Violation("the mean axial force is positive, unlike a right-hand helix", 0.0),
+        _Violation("the mean axial force is positive, unlike a right-hand helix", 0.1),
     ),
     -1: (
-        _Violation("the mean axial force is negative, unlike a left-hand helix", 0.0),
+        _Violation("the mean axial force is negative, unlike a left-hand helix", 0.1),
     ),
 }
+_LEFT_HANDED = _Violation("the recorded axes are left-handed", 0.15)
 # A coefficient may be this many standard errors below zero by chance.
 _CHANCE = 2.0
 
@@ -74,6 +75,7 @@ def propose_mean_axes(
     entry_angle: float = 0.0,
     exit_angle: float = math.pi,
     helix_angle: float = 0.0,
+    is_right_handed: bool = False,
 ) -> tuple[MeanAxes, ...]:
     """Return the assignments of the axes, the one with the most sense first.
 
@@ -85,6 +87,8 @@ def propose_mean_axes(
         entry_angle: [rad]; 0 for a slot.
         exit_angle: [rad]; pi for a slot.
         helix_angle: Of the cutter, positive for a right-hand helix [rad].
+        is_right_handed: Whether the recorded force is known to be that on the tool, so
+            that left-handed axes are unlikely.
 
     Returns:
         All 48 signed permutations; nothing is applied. Several may score alike: then
@@ -106,6 +110,8 @@ def propose_mean_axes(
             exit_angle=exit_angle,
         )
         violations = _violations(fit, float(feeds.mean()), hand)
+        if is_right_handed and np.linalg.det(matrix) < 0:
+            violations.append(_LEFT_HANDED)
         score = float(sum(one.penalty for one in violations))
         texts = tuple(one.text for one in violations)
         found.append(MeanAxes(axes_names(matrix), score, texts, fit))

@@ -88,7 +88,11 @@ class _Square(NamedTuple):
 
     def plus(self, other: "_Square") -> "_Square":
         """Return the square of two records with common unknowns."""
-        return _Square(*(a + b for a, b in zip(self, other, strict=True)))
+        return _Square(
+            self.matrix + other.matrix,
+            self.right + other.right,
+            self.whole + other.whole,
+        )
 
     def least(self) -> float:
         """Return the square that the best unknowns leave."""

@@ -74,6 +74,8 @@ class ForceRecordStudy(NamedTuple):
                 record.register(self.records, refines_speed=settings.refines_speed)
             )
         proposal = combine_axes_proposals([one.proposal for one in found])
+        if settings.force_on is not None:
+            proposal = proposal.for_right_handed_axes()
         axes = settings.axes or ("x", "y", "z")
         if settings.takes_proposed:
             axes = proposal.proposals[0].axes

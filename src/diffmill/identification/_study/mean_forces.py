@@ -20,6 +20,10 @@ from .._record.diagnosis import Diagnosis
 from .records import ForceRecord, ForceSettings, diagnoses_of
 from .study import OnProgress, silent
 
+# Axes are doubted if others score this much better: more than the sign of the axial
+# force and the hand of the axes, which decide where nothing else can.
+_BETTER = 0.2
+
 
 class Amplitude(NamedTuple):
     """The tooth-passing frequency in one record, which the means do not show.
@@ -115,6 +119,7 @@ class MeanForceStudy(NamedTuple):
             self.mean_force,
             **shape,
             helix_angle=float(cut.cutter.helix_angle),
+            is_right_handed=self.settings.force_on is not None,
         )
         axes = self.settings.axes or ("x", "y", "z")
         if self.settings.takes_proposed:
@@ -136,7 +141,7 @@ class MeanForceStudy(NamedTuple):
         slope, offset = mean_force_matrices(**shape)
         rows = np.concatenate([np.hstack([feed * slope, offset]) for feed in feeds])
         fit, diagnoses = used.fit, diagnoses_of(registrations)
-        is_likely = used.score <= found[0].score
+        is_likely = used.score <= found[0].score + _BETTER
         if is_likely:
             # In wrong axes no material has such coefficients, though no unit is wrong.
             K = [fit.coefficients[n] if fit.identifiable[n] else np.nan for n in NAMES]

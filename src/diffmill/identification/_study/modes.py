@@ -1,6 +1,7 @@
 """Modes of ring-downs or frequency responses, and the joints' dampers from them."""
 
 import itertools
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +18,9 @@ from .._modal.ring_down import (
 )
 from .study import OnProgress, StudyError, silent
 
+# A response is doubted of which modes explain less; another sign of its phase is the
+# cause if it leaves at most half as much.
+_LITTLE, _HALF = 0.9, 0.5
 # A measured frequency this far from the model's belongs to it hardly.
 _FAR = 0.3
 
@@ -48,6 +52,18 @@ class RingDown(NamedTuple):
         if guess is None:
             guess = ring_down_frequencies(self.time, self.signal, self.mode_count)
         return fit_ring_down(self.time, self.signal, guess)
+
+
+class ResponseFaults(NamedTuple):
+    """Signs of a frequency response that no structure has.
+
+    Attributes:
+        is_conjugate: Whether the phase has the other sign.
+        is_reversed: Whether all modes move against the force at the point itself.
+    """
+
+    is_conjugate: bool = False
+    is_reversed: bool = False
 
 
 class FrequencyResponse(NamedTuple):
@@ -89,6 +105,32 @@ class FrequencyResponse(NamedTuple):
             quantity=self.quantity,  # pyright: ignore[reportArgumentType]
         )
 
+    def faults(self, fit: FrequencyResponseFit | None) -> ResponseFaults:
+        """Return which sign conventions of the response are not those of a structure.
+
+        Energy goes into a damped structure and never out of it: with the phase of the
+        other sign no modes are found. Where tip and sensor are one point, modes that
+        all move against the force tell that one of both signs is reversed.
+
+        Args:
+            fit: Of the response as it is; None if it shows too few modes.
+        """
+        explained = -math.inf if fit is None else fit.explained
+        is_conjugate = False
+        if explained < _LITTLE:
+            try:
+                other = self._replace(response=np.conj(self.response)).fit()
+            except ValueError:
+                other = None
+            if other is not None and other.explained >= _LITTLE:
+                left = _HALF * (1 - max(explained, 0.0))
+                is_conjugate = 1 - other.explained <= left
+                fit = other if is_conjugate else fit
+        is_reversed = False
+        if self.direction is not None and fit is not None and fit.explained >= _LITTLE:
+            is_reversed = bool((1 / fit.stiffness).sum() < 0)
+        return ResponseFaults(is_conjugate, is_reversed)
+
 
 class ModeMatch(NamedTuple):
     """A measured mode beside that of the model.
@@ -117,11 +159,13 @@ class ModeStudyFit(NamedTuple):
         modes: Of each measurement.
         matches: Measured modes beside the model's, those in poses that are given.
         damping: Dampers, or None if no pose is given or no mode belongs to the model.
+        faults: Of each measurement the signs that no structure has.
     """
 
     modes: tuple[RingDownFit, ...] | tuple[FrequencyResponseFit, ...]
     matches: tuple[ModeMatch, ...]
     damping: JointDampingFit | None
+    faults: tuple[ResponseFaults, ...]
 
 
 class ModeStudy(NamedTuple):
@@ -148,17 +192,30 @@ class ModeStudy(NamedTuple):
         Raises:
             StudyError: A measurement cannot be fitted.
         """
-        fits = []
+        fits, faults = [], []
         for one in self.measured:
             on_progress(f"modes of {one.name}")
+            fit, reason = None, ""
             try:
-                fits.append(one.fit())
+                fit = one.fit()
             except ValueError as error:
-                raise StudyError(f"{one.name}: {error}") from error
+                reason = str(error)
+            found = ResponseFaults()
+            if isinstance(one, FrequencyResponse):
+                assert not isinstance(fit, RingDownFit)
+                found = one.faults(fit)
+            if fit is None:
+                if found.is_conjugate:
+                    reason += (
+                        " The phase has the wrong sign: with the other it shows them."
+                    )
+                raise StudyError(f"{one.name}: {reason}")
+            fits.append(fit)
+            faults.append(found)
         robot = self.robot
         poses = {i: one.q for i, one in enumerate(self.measured) if one.q is not None}
         if robot is None or not poses:
-            return ModeStudyFit(tuple(fits), (), None)
+            return ModeStudyFit(tuple(fits), (), None, tuple(faults))
         matches, ratios = [], np.full((len(poses), robot.joint_count), np.nan)
         for row, (i, q) in zip(ratios, poses.items(), strict=True):
             own = np.asarray(natural_frequencies(robot, q), np.float64)
@@ -174,4 +231,4 @@ class ModeStudy(NamedTuple):
         damping = None
         if np.isfinite(ratios).any():
             damping = fit_joint_damping(robot, list(poses.values()), ratios)
-        return ModeStudyFit(tuple(fits), tuple(matches), damping)
+        return ModeStudyFit(tuple(fits), tuple(matches), damping, tuple(faults))

@@ -75,6 +75,11 @@ class ForceRecord(NamedTuple):
         force = np.where(is_known, one.force, np.nan)
         return ForceSamples(one.time[keep], force[keep])
 
+    def reversed(self) -> "ForceRecord":
+        """Return the record of the force on the tool, of that on the workpiece."""
+        force = -self.record.force
+        return self._replace(record=dataclasses.replace(self.record, force=force))
+
     def register(
         self, others: "Sequence[ForceRecord]", *, refines_speed: bool
     ) -> RecordRegistration:
@@ -136,6 +141,8 @@ class ForceSettings(NamedTuple):
         lowpass: Cut-off of a low-pass for both sides [Hz], or None.
         refines_speed: Whether the spindle speed of straight cuts is taken from the
             record.
+        force_on: "workpiece" if the recorded forces were those on it, and have been
+            reversed; "tool"; None if the file does not say.
     """
 
     axes: tuple[str, str, str] | None
@@ -145,3 +152,4 @@ class ForceSettings(NamedTuple):
     shift_range: float | None
     lowpass: float | None
     refines_speed: bool
+    force_on: str | None = None

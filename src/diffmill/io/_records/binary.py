@@ -172,8 +172,19 @@ def _matrix_columns(name: str, value: Any, labels: list[str] | None) -> list[Col
     array = (
         np.squeeze(np.asarray(value)) if not isinstance(value, list) else np.empty(0)
     )
-    if array.dtype.kind not in "fiumM" or array.size < 2 or array.ndim > 2:
+    if array.dtype.kind not in "fiumMc" or array.size < 2 or array.ndim > 2:
         return []
+    if array.dtype.kind == "c":
+        # A complex vector is a real and an imaginary one, named in reading order.
+        parts = {"real": np.real(array), "imaginary": np.imag(array)}
+        names = labels or [name]
+        return [
+            column
+            for part, values in parts.items()
+            for column in _matrix_columns(
+                f"{name} {part}", values, [f"{label} {part}" for label in names]
+            )
+        ]
     if array.ndim == 1:
         return [_column(name, lambda: _numbers(array))]
     count, longer = sorted(array.shape)

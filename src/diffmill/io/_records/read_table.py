@@ -1,10 +1,12 @@
 """The columns of a file, whatever its format."""
 
 import pathlib
+import re
 
 from .binary import read_mat, read_netcdf, read_tdms
 from .table import Table
 from .text import read_text
+from .uff import read_uff
 
 
 def read_table(file: pathlib.Path) -> Table:
@@ -23,4 +25,6 @@ def read_table(file: pathlib.Path) -> Table:
         return read_mat(file)
     if begin.startswith((b"\x89HDF", b"CDF")) or suffix in (".nc", ".nc4", ".cdf"):
         return read_netcdf(file)
+    if re.match(rb"\s*-1\r?\n *\d+", begin) or suffix in (".uff", ".unv"):
+        return read_uff(file)
     return read_text(file)
