@@ -585,8 +585,12 @@ def _spline_moves(knots: list[_Knot], line: int, reader: _Krl) -> None:
     here = ToolPlace(reader.position, reader.axis, reader.tool_x)
     places = [here, *(knot.place for knot in knots)]
     is_turned = all(place.tool_x is not None for place in places)
-    columns = 3 if is_turned else 2
-    rows = np.array([np.concatenate(place[:columns]) for place in places])
+    rows = np.array(
+        [
+            (*place.tip, *place.axis, *(place.tool_x or ()) * is_turned)
+            for place in places
+        ]
+    )
     points = rows[:, :3]
     shares = np.array([knot.share for knot in knots])
     is_timed = not np.isnan(shares).any()

@@ -154,7 +154,7 @@ class KrlFrames:
             reader.refuse(line, "IPO_FRAME #TCP", message)
         base = self.chosen.base
         if self._used is None and base is not None and not _is_known(base):
-            reader.out.note(*base, _UNKNOWN, line)
+            reader.out.note(next(iter(base)), _UNKNOWN, line)
         used = self.chosen if self._used is None else self._used
         if used.base != self.chosen.base:
             message = "a program with several bases is not supported; `work` is one."
