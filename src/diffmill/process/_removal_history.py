@@ -3,8 +3,8 @@
 Removal lags behind the tool by a travelled distance of at least sqrt(R d), the
 distance at which the freshly cut surface has left the smoothing band; the history
 that spans it is a queue of fixed length whose entries are a minimum distance apart,
-so that a slow or dwelling tool cannot fill it. Only where the tool turns or comes to
-rest, so that what it cuts there no other pose cuts, a pose comes in sooner.
+so that a slow or dwelling tool cannot fill it. Only where the tool turns or stops, so
+that what it cuts there no other pose cuts, a pose comes in sooner.
 """
 
 import dataclasses
