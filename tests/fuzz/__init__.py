@@ -1,0 +1,1 @@
+"""Damaged files for every reader: each is read, or refused in the project's words."""
