@@ -280,7 +280,7 @@ def settings(monkeypatch):
     """Keep JAX's settings and the environment as they are."""
     monkeypatch.setenv("NPROC", "1")
     monkeypatch.setenv("XLA_FLAGS", os.environ.get("XLA_FLAGS", ""))
-    is_enabled = jax.config.jax_enable_compilation_cache
+    is_enabled = jax.config.values["jax_enable_compilation_cache"]
     yield
     jax.config.update("jax_enable_compilation_cache", is_enabled)
 

@@ -1,6 +1,7 @@
 """Which tooth is which in records of a cutter with run-out: NumPy, no simulation."""
 
 import math
+from typing import Any
 
 import numpy as np
 from slot_force import SPEED, K, R
@@ -55,9 +56,10 @@ def registered(feed, teeth, first_tooth, seed, noise):
     time = 4 * TURN + np.arange(0, 6 * TURN, 1.03e-4)
     seen = force(time + first_tooth * TURN / teeth, feed, teeth)
     seen += noise * np.random.default_rng(seed).normal(size=seen.shape)
-    # A registration holds no more that a fit looks at.
+    # The axes are known, so that a fit does not read their proposal.
+    proposal: Any = None
     return identification.RecordRegistration(
-        cut, columns, time, seen, 0.0, None, None, SPEED, ()
+        cut, columns, time, seen, 0.0, proposal, None, SPEED, ()
     )
 
 

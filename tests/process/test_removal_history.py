@@ -79,7 +79,7 @@ def cut(arrival, departure, rest):
 def test_a_corner_with_a_stop_is_the_swept_shape(degrees, rest):
     turn = math.radians(degrees)
     legs = np.array([[1.0, 0, 0], [math.cos(turn), math.sin(turn), 0]])
-    stock = cut(*legs, rest)
+    stock = cut(legs[0], legs[1], rest)
     legs[0] *= -1
     for family in (0, 1):
         points = stock.ray_ends(family).points * [1, 1, 0]

@@ -421,7 +421,8 @@ def arm(**changes):
 
 def test_attributes_of_a_vendor_beside_the_right_one_pass(write):
     more = ('velocity="7"', 'velocity="7" gear_velocity="10" k_velocity="3"')
-    assert float(dr.load(write(arm(more=more))).joint_speed[0]) == 7
+    speed = dr.load(write(arm(more=more))).joint_speed
+    assert speed is not None and float(speed[0]) == 7
     alone = ('velocity="7"', 'gear_velocity="10"')
     with pytest.raises(dr.RobotFileError, match="gear_velocity"):
         dr.load(write(arm(alone=alone)))

@@ -4,6 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
+from trimesh.exchange.stl import export_stl_ascii
 
 from diffmill import workpiece as wp
 
@@ -257,7 +258,7 @@ def test_single_precision_on_demand(tmp_path):
 
 def text_stl(mesh, name):
     """Return a mesh as STL in text, its name in Latin-1."""
-    text = trimesh.exchange.stl.export_stl_ascii(mesh).split("\n", 1)[1]
+    text = export_stl_ascii(mesh).split("\n", 1)[1]
     return f"solid {name}\n{text}".encode("latin-1")
 
 
