@@ -2,6 +2,7 @@
 
 import contextlib
 import errno
+import hashlib
 import os
 import signal
 import sys
@@ -13,7 +14,7 @@ import xarray
 from slides_job import write_slides_job
 
 import diffmill as dm
-from diffmill import correction, io
+from diffmill import config, correction, io
 from diffmill.cli import main
 
 FOUND = {"method/mirror/command": np.zeros(3)}
@@ -188,10 +189,24 @@ def test_a_file_system_without_locks_is_said(job, monkeypatch, capsys):
     def fail(handle, kind):
         raise OSError(errno.ENOLCK, "No locks available")
 
+    # The part of a run that may live.
+    digest = hashlib.sha256(b"job-correct").hexdigest()[:12]
+    part = f".diffmill-{digest}-part"
+    (job.parent / part).mkdir()
     monkeypatch.setattr(fcntl, "flock", fail)
     correct_by(monkeypatch, lambda keep: None)
     assert main(["correct", "job.toml"]) == 2
-    assert "without locks" in capsys.readouterr().err
+    assert "there are no locks" in capsys.readouterr().err
+    assert part in names(job.parent)
+
+
+def test_an_interruption_while_a_job_is_read_says_so(job, monkeypatch, capsys):
+    def read(*arguments, **options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(config, "load_job", read)
+    assert main(["correct", "job.toml"]) == 1
+    assert "error: interrupted; no results were written" in capsys.readouterr().err
 
 
 @needs_locks

@@ -42,6 +42,11 @@ def cast_floats(tree: _Tree, dtype: jnp.dtype) -> _Tree:
     return jax.tree.map(cast, tree)
 
 
+def has_values(*leaves: object) -> bool:
+    """Whether leaves of a tree are numbers or arrays: a part of it may have None."""
+    return all(isinstance(leaf, jax.Array | np.ndarray | float) for leaf in leaves)
+
+
 def is_traced(arguments: object) -> bool:
     """Return whether JAX traces any of the arguments, as for a derivative."""
     return any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(arguments))

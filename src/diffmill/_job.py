@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ._arrays import cast_floats, is_traced
+from ._arrays import cast_floats, has_values, is_traced
 from ._types import FloatRows3, RealScalarLike, Transform
 from .cutter import AbstractCutter, ToolHolder
 from .cutting import AbstractForceLaw
@@ -299,8 +299,9 @@ class Job(eqx.Module):
 
     def __repr__(self) -> str:
         """Return what the job is about, in five lines."""
-        if is_traced(self) or np.ndim(self.spindle_speed) > 0:
-            return f"Job({self.name!r}, traced or stacked)"
+        read = (self.spindle_speed, self.path.time, self.stock.families[0].ends)
+        if not has_values(*read) or is_traced(self) or np.ndim(read[0]) > 0:
+            return f"Job({self.name!r}, traced, stacked or without values)"
         machine = "rigid"
         if self.modes is not None:
             machine = f"{len(np.asarray(self.modes.frequencies))} modes at the tool tip"

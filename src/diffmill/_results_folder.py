@@ -31,9 +31,13 @@ _CHECKPOINT = ".checkpoint"
 # Longest name of a file [bytes].
 _NAME_MAX = 255
 # How the names of all parts begin.
-_PART = ".diffmill-"
+PART = ".diffmill-"
 # What a file system answers that knows no locks.
 _NO_LOCKS = (errno.ENOSYS, errno.ENOTSUP, errno.ENOLCK)
+_WITHOUT_LOCKS = (
+    "there are no locks on this file system, so that nothing hinders two runs from "
+    "writing to one folder"
+)
 # Called with a temporary folder, to write any number of files to.
 Fill: TypeAlias = Callable[[pathlib.Path], object]
 
@@ -106,10 +110,11 @@ class ResultsFolder(NamedTuple):
     def locked(self) -> Iterator[str]:
         """Lock the folder against other runs; remove the parts that killed runs left.
 
-        Folders above it that are made for the lock and stay empty are removed.
+        Folders above it that are made for the lock and stay empty are removed. Without
+        a lock no part is removed, since it may be of a run that lives.
 
         Yields:
-            A note where the file system knows no locks, else an empty text.
+            A note where there are no locks, else an empty text.
 
         Raises:
             ResultsError: Another run holds the folder.
@@ -118,16 +123,30 @@ class ResultsFolder(NamedTuple):
         above = [self.path.parent, *self.path.parent.parents]
         made = list(itertools.takewhile(lambda folder: not folder.exists(), above))
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        lock = self.path.with_name(f"{_part_prefix(self.path)}lock")
+        lock = self.lock
         try:
             with _locked(lock, self.name) as note:
                 for path in (self.path, self.checkpoint):
-                    remove_parts(path.parent, _part_prefix(path), but=lock)
+                    if not note:
+                        remove_parts(path.parent, _part_prefix(path), but=lock)
                 yield note
         finally:
             with contextlib.suppress(OSError):
                 for folder in made:
                     folder.rmdir()
+
+    @property
+    def lock(self) -> pathlib.Path:
+        """The file beside the folder that a run locks."""
+        return self.path.with_name(f"{_part_prefix(self.path)}lock")
+
+    @property
+    def version(self) -> tuple[int, int] | None:
+        """What differs between two runs that wrote the folder; None before any."""
+        with contextlib.suppress(OSError):
+            found = (self.path / _MANIFEST).stat()
+            return found.st_ino, found.st_mtime_ns
+        return None
 
     @property
     def checkpoint(self) -> pathlib.Path:
@@ -294,7 +313,7 @@ def sibling(path: pathlib.Path, suffix: str) -> pathlib.Path:
 def _locked(lock: pathlib.Path, name: str) -> Iterator[str]:
     """Hold a lock, a file that stays empty; remove it afterwards."""
     if fcntl is None:
-        yield ""
+        yield _WITHOUT_LOCKS
         return
     while True:
         # A link is not followed: it may have been put there to harm another file.
@@ -304,10 +323,11 @@ def _locked(lock: pathlib.Path, name: str) -> Iterator[str]:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
             if error.errno in _NO_LOCKS:
-                note = f"{lock.parent} is on a file system without locks, so that "
-                note += "nothing hinders two runs from writing to one folder"
+                note = _WITHOUT_LOCKS
             else:
                 os.close(handle)
+                if not isinstance(error, BlockingIOError):
+                    raise
                 raise ResultsError(
                     f"{name}: another run is writing there; wait for its end, or name "
                     "another place"
@@ -330,11 +350,11 @@ def _digest(path: pathlib.Path) -> str:
 
 def _part_prefix(path: pathlib.Path) -> str:
     """Return how the names of the parts of a file or folder begin."""
-    return f"{_PART}{_digest(path)}-"
+    return f"{PART}{_digest(path)}-"
 
 
 def remove_parts(
-    folder: pathlib.Path, prefix: str = _PART, *, but: pathlib.Path | None = None
+    folder: pathlib.Path, prefix: str = PART, *, but: pathlib.Path | None = None
 ) -> None:
     """Remove parts that killed runs left; only one who holds the lock may.
 

@@ -43,6 +43,15 @@ def test_a_direction_has_a_length_to_divide_by(load, found):
         load("direction = [1, 0, 0]", f"direction = [{found}, 0, 0]")
 
 
+def test_a_slow_spindle_needs_no_knots_of_its_own(load):
+    # The knots that are the default, of 30 ms, lie closer than teeth of 37.5 ms.
+    job = load('"8000 rpm"', '"800 rpm"')
+    assert float(job.tooth_period) == pytest.approx(37.5e-3)
+    stated = '"800 rpm"\n[correction]\nknot_spacing = "30 ms"'
+    with pytest.raises(dm.JobError, match="knot_spacing: found 30 ms"):
+        load('"8000 rpm"', stated)
+
+
 @pytest.mark.parametrize(
     ("line", "message"),
     [

@@ -36,7 +36,8 @@ def test_a_job_is_five_lines(job):
     assert lines[4] == "  machine: rigid"
     seen = []
     jax.eval_shape(lambda speed: seen.append(repr(with_speed(job, speed))), 800.0)
-    assert seen == ["Job('job', traced or stacked)"]
+    assert seen == ["Job('job', traced, stacked or without values)"]
+    assert repr(eqx.filter(job, lambda _: False)) == seen[0]
 
 
 def with_speed(job, speed):

@@ -4,7 +4,7 @@ import importlib.util
 import pathlib
 from typing import TYPE_CHECKING, NamedTuple
 
-from .._results_folder import remove_parts
+from .._results_folder import PART, ResultsFolder, remove_parts
 from ._session.errors import BadInput, bad_input, interruption_leaves, locked_folder
 from ._session.progress import Progress
 
@@ -79,8 +79,10 @@ def run_campaign_file(
         ):
             if unlocked:
                 progress.say(f"note: {unlocked}")
-            # A worker's part has no lock of its own.
-            remove_parts(jobs)
+            else:
+                # Parts of workers and of the dataset have no lock of their own.
+                remove_parts(jobs)
+                remove_parts(folder, but=ResultsFolder.of(jobs).lock)
             if force:
                 for kept in jobs.glob("*.json"):
                     kept.unlink()
@@ -111,7 +113,8 @@ def _check_folder(folder: pathlib.Path) -> None:
     if folder.is_file():
         raise BadInput(f"--out {folder}: found a file; a folder is required")
     is_ours = (folder / "jobs").is_dir()
-    if folder.is_dir() and any(folder.iterdir()) and not is_ours:
+    is_other = lambda file: not file.name.startswith(PART)
+    if folder.is_dir() and any(map(is_other, folder.iterdir())) and not is_ours:
         raise BadInput(
             f"--out {folder}: found a folder that is not empty; that of a campaign, an "
             "empty or a new one is required"

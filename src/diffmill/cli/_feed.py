@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 import numpy as np
 
 from .._jax_config import configure_jax
+from .._messages import printable
 from .._results_folder import ResultsFolder
 from ._run_job import with_job
 from ._session.attempts import Attempts
@@ -99,7 +100,7 @@ def _tune(
             found = _compute(job, request, progress)
             tradeoff, tuned = found.tradeoff, found.tuned
     except SimulationFailed as failure:
-        print(f"error: the run failed: {failure}", file=sys.stderr)
+        print(printable(f"error: the run failed: {failure}"), file=sys.stderr)
         print("nothing could be kept", file=sys.stderr)
         return 1
     progress.answer("\n".join(_summary(job, tradeoff, tuned)))

@@ -479,10 +479,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(printable(f"error: {error}"), file=sys.stderr)
         return 2
     except (KeyboardInterrupt, Interrupted) as error:
-        print(
-            f"error: interrupted; {error or 'no results were written'}",
-            file=sys.stderr,
-        )
+        left = str(error) or "no results were written"
+        print(printable(f"error: interrupted; {left}"), file=sys.stderr)
         return 1
     except BrokenPipeError:
         # Who reads has enough, such as `head`; nothing more can be said there.

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from .._jax_config import configure_jax
+from .._messages import printable
 from .._results_folder import ResultsFolder
 from .._toml import parse_toml
 from ._robot_facts import JointPositions, RobotFacts, robot_facts
@@ -80,7 +81,7 @@ def run_robot(
     if note is not None and facts["modes"] is not None:
         facts["notes"].append(note)
     if not progress.is_quiet:
-        print("\n".join(robot_lines(facts)))
+        print(printable("\n".join(robot_lines(facts))))
     with locked_folder(folder) as unlocked, progress:
         if unlocked:
             progress.say(f"note: {unlocked}")

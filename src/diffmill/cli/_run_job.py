@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from .._jax_config import configure_jax
+from .._messages import printable
 from .._results_folder import ResultsFolder
 from ._analyses import FinishedRun, add_analyses
 from ._session.checkpoint import Checkpoint
@@ -233,10 +234,15 @@ class _Run:
         # Whatever fails from here on, the run is kept.
         force = self._may_replace
         self._folder = ResultsFolder.of(self._folder).still_free(force=force)
-        write_results(
-            self._folder, dataset, files=files, stock=final.stock, force=force
-        )
-        self._is_written = True
+        results = ResultsFolder.of(self._folder)
+        before = results.version
+        try:
+            write_results(
+                self._folder, dataset, files=files, stock=final.stock, force=force
+            )
+        finally:
+            # An interruption while files get their names is raised behind that.
+            self._is_written = results.version not in (None, before)
         return FinishedRun(job, solutions, final, dataset, self.program, surfaces)
 
 
@@ -354,7 +360,7 @@ def _keep_failure(
     """Keep what an aborted run has computed; return the exit code 1."""
     from ..io import mark_incomplete, write_results
 
-    print(f"error: the run failed: {failure}", file=sys.stderr)
+    print(printable(f"error: the run failed: {failure}"), file=sys.stderr)
     solution: Any = failure.solution
     if solution is None:
         print("nothing could be kept", file=sys.stderr)

@@ -38,10 +38,14 @@ class JobProgram(NamedTuple):
         path = pathlib.Path(file)
         raw = read_toml(path).tables
         context = FileContext(path.parent, allow_outside, [], [])
-        table = read_tables(raw, context.problems).program
+        tables = read_tables(raw, context.problems)
+        table = tables.program
         program = None if table is None else read_program(table, context)
         if context.problems:
             raise JobError(path, context.problems)
         if table is None or not isinstance(program, Program):
             return None
+        # As the arm takes it, see `rotated_as_asked`.
+        if tables.robot is not None and tables.robot.tool_rotation == "fixed":
+            program = program.without_rotation()
         return cls(program, pathlib.PurePath(table.file).suffix.lower())

@@ -551,7 +551,12 @@ def _simulation(
             f"depth of {depth * 1e3:g} mm takes {depth / height:.3g} discs; at most "
             f"{_MOST_DISCS} are allowed"
         )
-    if tables.correction is not None and tables.correction.knot_spacing < period:
+    # A default below it has no effect on a job that is not corrected.
+    is_stated = (
+        tables.correction is not None
+        and "knot_spacing" in tables.correction.model_fields_set
+    )
+    if is_stated and tables.correction.knot_spacing < period:
         problems.append(
             f"[correction] knot_spacing: found "
             f"{tables.correction.knot_spacing * 1e3:g} ms, but at least the tooth "

@@ -7,6 +7,7 @@ import time
 from typing import TYPE_CHECKING, Any, assert_never
 
 from ..._jax_config import configure_jax
+from ..._messages import printable
 from ..._results_folder import ResultsFolder
 from .._session.attempts import Attempts
 from .._session.errors import (
@@ -94,7 +95,7 @@ def _identify(
 
     # Whatever fails from here on, what was found is kept and shown.
     if not progress.is_quiet:
-        print("\n".join([*report.lines, "", *report.toml]))
+        print(printable("\n".join([*report.lines, "", *report.toml])))
     folder = ResultsFolder.of(folder).still_free(force=force)
     ResultsFolder.of(folder).write(fill, force=force)
     attempts = Attempts()

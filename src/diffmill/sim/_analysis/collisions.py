@@ -160,7 +160,8 @@ def _depths(
     samples = Samples(
         tip,
         axis,
-        is_cut=is_near & ~is_rapid,
+        # What the tool stands in at the start is gone.
+        is_cut=is_near & (~is_rapid | (row == 0)),
         is_tool=is_tool,
         is_holder=is_looked,
         tool=window_of(columns, box, is_near),

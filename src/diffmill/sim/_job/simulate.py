@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ..._arrays import cast_floats, is_traced, on_device
+from ..._arrays import cast_floats, has_values, is_traced, on_device
 from ..._job import Job
 from ..._live_rows import pad_rows
 from ..._result import RESULTS, SimulationFailed
@@ -200,9 +200,10 @@ class Solution(eqx.Module):
 
     def __repr__(self) -> str:
         """Return what came out, in five lines."""
+        read = (self.time, self.contour_error, self.stock.families[0].ends)
+        if not has_values(*read) or is_traced(self) or self.time.ndim > 1:
+            return f"Solution(rows of {getattr(self.time, 'shape', None)})"
         rows = self.time.shape[-1]
-        if is_traced(self) or self.time.ndim > 1:
-            return f"Solution(rows of {self.time.shape})"
         error = 1e6 * np.asarray(self.contour_error)[np.asarray(self.is_cutting)]
         force = np.linalg.norm(np.asarray(self.force), axis=1)
         cut = "nothing is cut"
