@@ -136,6 +136,40 @@ def test_tilted_tools_match_the_reference(kind, degrees, azimuth):
     assert relative(found, wanted) < 2e-2
 
 
+def test_a_tilted_ball_that_cuts_next_to_nothing_matches_the_reference():
+    # As deep as two of a hundred parts of its radius: few samples long.
+    axis = leaning(20, 0.7)
+    tip = np.array([0, 0, depth_of("ball", axis, 0.1e-3)])
+    path = line(tip + np.array([-0.3e-3, 0.04e-3, 0]))
+    found = steady(cut(path, BLOCK_FOR_TILTED, mill("ball"), axis))
+    stock = halfspaces.half_space(UP, 0.0)
+    wanted = marching.mean_force(
+        tool("ball"), REFERENCE, stock, FEED * ALONG, axis, tip=tip, steps=1440
+    )
+    assert relative(found, wanted) < 1e-2
+
+
+@pytest.mark.parametrize("is_up", [True, False])
+def test_uneven_teeth_in_a_narrow_cut_match_the_reference(is_up):
+    # Four samples long at the default of 96 a turn, in another phase for every tooth.
+    radial = 0.2e-3
+    low, high = (corner[1] for corner in CORNERS_OF_BLOCK)
+    y = low - R + radial if is_up else high + R - radial
+    teeth = {"pitch": np.array([1.9, 2.1, 2 * math.pi - 4.0])}
+    mill = ct.flat_end_mill(2 * R, 3, **teeth)
+    found = steady(cut(line([-0.3e-3, y, -1e-3]), BLOCK, mill))
+    wanted = marching.mean_force(
+        tool("flat", tooth_angles=(0.0, 1.9, 4.0)),
+        REFERENCE,
+        halfspaces.shoulder(1e-3, radial, R, is_up_milling=is_up),
+        FEED * ALONG,
+        UP,
+        steps=19200,
+        elements=10,
+    )
+    assert relative(found, wanted) < 6e-3
+
+
 def wedge(slope, direction):
     """Return a block whose top is a plane through the origin."""
     low, high = np.array([-7e-3, -7e-3, -4e-3]), np.array([10e-3, 7.1e-3, 0])

@@ -72,9 +72,7 @@ def test_partial_cuts_match_the_quadrature(radial_depth):
     # Tooth at phi = 0 looks to +y: stock beside +y is up-milling.
     solution = compiled()(straight(-(5e-3 - radial_depth)), STOCK)
     wanted = circles.mean_force(PAPER_LAW, circles.Cut(FEED, radial_depth), 1e-3)
-    assert relative(steady(solution), wanted) < (
-        5e-3 if radial_depth > 1e-4 else 1.5e-2
-    )
+    assert relative(steady(solution), wanted) < 5e-3
 
 
 def test_down_milling_matches_the_quadrature():

@@ -129,6 +129,30 @@ def test_turning_from_across_a_wall_to_along_it_makes_no_kink():
     assert jnp.abs(jnp.diff(slope)).max() < 0.03 * jnp.abs(slope).max()
 
 
+@pytest.mark.parametrize("slope", [0.0, 0.4, -0.4])
+def test_beside_a_wall_a_chip_is_as_thick_as_its_part_in_the_material(slope):
+    # Samples at any phase go into the face y = 0; the chip is 1 + slope y / step there.
+    step, count = 0.08e-3, 8
+    phase = np.linspace(0, 1, 21)[:, None] + 0 * np.arange(2 * count)
+    place = (phase + np.arange(-count, count)).reshape(-1)
+    points = np.column_stack([0 * place + 5.07e-3, place * step, 0 * place - 1.03e-3])
+    chip = 1 + slope * place
+    moves = jnp.broadcast_to(jnp.array([0, step]), (len(place), 1, 2))
+    found = DISCS.occupancy(
+        STOCK,
+        jnp.asarray(points)[:, None],
+        moves,
+        jnp.zeros_like(moves),
+        MILL,
+        growth=jnp.asarray(slope / np.maximum(chip, 0.1))[:, None],
+    )
+    force = jnp.sum(found.occupancy * found.chip_share, axis=-1) * chip
+    total = force.reshape(phase.shape).sum(axis=1) * DISCS.height / 1.03e-3
+    # Up to half a step behind the last; a hat is wider than a step by a 24th.
+    end = phase[:, 0] + count - 0.5
+    np.testing.assert_allclose(total, end + slope * (end**2 / 2 + 1 / 24), rtol=2e-4)
+
+
 @jax.jit
 def pocketed(x=6.07e-3, y=5.03e-3):
     """Return the block with a round hole of the mill, 1.3 mm deep, off the rays."""

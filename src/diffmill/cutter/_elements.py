@@ -23,6 +23,8 @@ class EdgeElements(eqx.Module):
         cos_kappa: Shape (element,).
         width: Length along the profile [m], shape (element,).
         lag: Angle by which the helix holds the element back [rad], shape (element,).
+        sagitta: How far the mean of an element lies inward of its middle [m], shape
+            (element,).
         bottom_count: The first elements, which lie on the flat end.
     """
 
@@ -32,6 +34,7 @@ class EdgeElements(eqx.Module):
     cos_kappa: Float[Array, " element"]
     width: Float[Array, " element"]
     lag: Float[Array, " element"]
+    sagitta: Float[Array, " element"]
     bottom_count: int = eqx.field(static=True)
 
 
@@ -100,5 +103,8 @@ def edge_elements(
             ]
         ),
         lag=heights * jnp.tan(helix) / R,
+        sagitta=jnp.concatenate(
+            [zero, jnp.full(around, r * piece**2 / 24, dtype), 0 * one]
+        ),
         bottom_count=bottom,
     )

@@ -9,6 +9,7 @@ The chip is the least of these over all earlier poses, so it follows regeneratio
 several teeth and is zero where the tool left the cut.
 """
 
+import math
 from typing import NamedTuple
 
 import equinox as eqx
@@ -155,6 +156,52 @@ def edge_contact(
     """
     moving = feed_per_tooth**2 / (feed_per_tooth**2 + _STANDSTILL**2)
     return moving * hat_integral(chip_per_way / angle_step)
+
+
+def rounded_corner(
+    chip: Float[Array, "*sample"],
+    slope: Float[Array, "*#sample"],
+    angles: int,
+) -> Float[Array, "*sample"]:
+    """Return by how much the mean chip of a sample exceeds that of its middle [m].
+
+    Where a chip begins or ends within a sample, its middle tells all or nothing: of a
+    narrow cut, which is few samples long, some percent of the force. A sample stands
+    for the way to both neighbours, weighed by a hat as its contact is.
+
+    Args:
+        chip: Unclipped chip thickness in the middle [m], any shape.
+        slope: Its change with the angle [m/rad], broadcast.
+        angles: Samples per revolution.
+
+    Returns:
+        0 from one sample off the end of the chip on, same shape.
+
+    Differentiability: with the clipped chip, twice continuously differentiable.
+    """
+    width = jnp.maximum(2 * math.pi / angles * jnp.abs(slope), _STANDSTILL)
+    return width / 6 * jnp.maximum(1 - jnp.abs(chip) / width, 0) ** 3
+
+
+def chip_growth(
+    ahead: Float[Array, "*sample"], rise: Float[Array, "*sample"], angles: int
+) -> Float[Array, "*sample"]:
+    """Return how much thicker a chip is at the next sample.
+
+    Args:
+        ahead: Motion per tooth along the normal of the edge, the chip but for the bow
+            of the surface behind it [m], any shape.
+        rise: Its change with the angle [m/rad], same shape.
+        angles: Samples per revolution.
+
+    Returns:
+        Over the thickness [-], same shape; at most 1 beside the end of a chip.
+
+    Differentiability: continuous, a kink at the greatest growth.
+    """
+    step = 2 * math.pi / angles
+    least = step * jnp.sqrt(ahead**2 + rise**2 + _STANDSTILL**2)
+    return step * rise / jnp.maximum(ahead, least)
 
 
 def sideways_share(

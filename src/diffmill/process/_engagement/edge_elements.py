@@ -28,8 +28,10 @@ from ...workpiece import Discs, Pose, RemovalWindow, occupancy_in_space
 from .._chip import (
     Outward,
     UnclippedChip,
+    chip_growth,
     edge_contact,
     held_at_rest,
+    rounded_corner,
     safe_norm,
     sideways_share,
     way_of,
@@ -130,7 +132,14 @@ class EdgeElementsInSpace(AbstractEngagement):
         offsets = _edge_offsets(cutter, elements)
         own = None if offsets is None else _of_teeth(offsets, tooth)
         place = jax.vmap(lambda p, e, out: _edge(cutter, elements, p, e, out))
-        points, normals, along = place(predicted, outward, own)
+        places = place(predicted, outward, own)
+        points, normals, along = places
+        rim = jnp.cross(along, normals)
+        motion = (predicted.tip - state.recent.tip[0])[:, None, None, None]
+        ahead = jnp.sum(motion * normals, axis=-1)
+        rise = elements.sin_kappa[None, None, None] * jnp.sum(motion * rim, axis=-1)
+        growth = chip_growth(ahead, rise, self.angles)
+        growth = held_at_rest(growth, safe_norm(motion))
         # What an edge takes: a chip as thick as it lies beyond the pose before.
         old = state.recent[:, :, None, None, None]
         if offsets is None:
@@ -148,18 +157,19 @@ class EdgeElementsInSpace(AbstractEngagement):
                 elements.width[None, None, None, :, None] * along,
                 (2 * math.pi / self.angles)
                 * elements.radius[None, None, None, :, None]
-                * jnp.cross(along, normals),
+                * rim,
                 chip,
             ],
             axis=-2,
         )
         found = occupancy_in_space(
             state.stock,
-            points.reshape(-1, 3),
+            self._centroids(elements, places).reshape(-1, 3),
             cell.reshape(-1, 3, 3),
             self.discs.band,
             cutter,
             process.derivative.tied_to(state.track, process.stock),
+            growth=growth.reshape(-1),
             slots=state.slots,
         )
         occupied, chip_share = (share.reshape(angle.shape) for share in found)
@@ -207,7 +217,13 @@ class EdgeElementsInSpace(AbstractEngagement):
             least = per_way[..., :n] - RAMP
             touch = touch.at[..., :n].set(edge_contact(least, feed, RAMP))
         touch = held_at_rest(touch, feed)
-        h = clamp(0.0, chip, cutter.nominal_radius) * samples.chip_share
+        h = clamp(0.0, chip, cutter.nominal_radius)
+        if cutter.flute_count % 2 or self._keeps_all(cutter):
+            slope = elements.sin_kappa[None, None] * (e.cos * x - e.sin * y)
+            zero = per_way[..., n:] * feed
+            rounded = rounded_corner(zero, slope[..., n:], self.angles)
+            h = h.at[..., n:].add(rounded)
+        h = h * samples.chip_share
         parts = []
         if n > 0:
             law = process.bottom_law
@@ -298,6 +314,28 @@ class EdgeElementsInSpace(AbstractEngagement):
             fade = fade.at[..., n:].set(leading_fade(lead[..., n:], step))
             fade = held_at_rest(fade, safe_norm(motion)[:, None, None, None])
         return LeadingSamples(angle, outward, leading.place, fade)
+
+    def _centroids(
+        self, elements: EdgeElements, places: "_EdgePlaces"
+    ) -> Float[Array, "substep angle kept element 3"]:
+        """Return the centroids of the surfaces that elements pass in their samples [m].
+
+        A sample weighs what lies up to one angle step to each side as a hat does, whose
+        variance is a sixth; the arc falls inward of its tangent by half of that.
+        """
+        turn = 2 * math.pi / self.angles
+        _, normals, along = places
+        sin_kappa, cos_kappa, radius, sagitta = (
+            x[None, None, None, :, None]
+            for x in (
+                elements.sin_kappa,
+                elements.cos_kappa,
+                elements.radius * turn**2 / 12,
+                elements.sagitta,
+            )
+        )
+        radial = sin_kappa * normals + cos_kappa * along
+        return places.points - radius * radial - sagitta * normals
 
     def _chip(
         self,

@@ -11,9 +11,10 @@ x angle steps inside the half; H the integral of a hat of half-width 1, so that 
 samples sums to one; b the steps by which the chip begins before the half turn. The
 chip, as thick as x + b there, is taken over in the same way, by
 
-    V(x) = I(x - 1) + (1 + b) H(x - 1) + ((1 + b)^2 / 2 - 1/24) B(x),
+    V(x) = I(x - 1) + (1 + b) H(x - 1) + (1 + b)^2 / 2 B(x),
 
-I the integral of H: x + b from two steps on, and as much as the chip from -b on has.
+I the integral of H: x + b from two steps on, and as much as the chip from -b on has if
+a sample stands for the way to both neighbours, weighed by a hat.
 """
 
 from typing import NamedTuple
@@ -137,7 +138,7 @@ def chip_taken_over(
     b = before / angle_step
     x = clamp(1e-3, lead / angle_step, 2.0)
     V = ramp(x - 1, 1.0) + (1 + b) * hat_integral(x - 1)
-    V = V + ((1 + b) ** 2 / 2 - 1 / 24) * _spread(x)
+    V = V + ((1 + b) ** 2 / 2) * _spread(x)
     return V / ((x + b) * _faded(x))
 
 

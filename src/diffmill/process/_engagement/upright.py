@@ -19,9 +19,11 @@ from .._chip import (
     Outward,
     UnclippedChip,
     chip_along,
+    chip_growth,
     edge_contact,
     held_at_rest,
     layer_share,
+    rounded_corner,
     safe_norm,
     sideways_share,
     way_of,
@@ -83,10 +85,19 @@ class UprightFlat(AbstractEngagement):
         radius = cutter.diameter / 2
         sin, cos = outward.sin * radius, outward.cos * radius
         rim = jnp.stack([sin, cos, jnp.zeros_like(angle)], -1)
-        points = (tips[:, None, None, None] + rim).reshape(-1, angle.shape[3], 3)
         step = 2 * math.pi / self.angles
+        # A sample stands for the arc to its neighbours, whose mean lies inward.
+        mean = (1 - step**2 / 12) * rim
+        points = (tips[:, None, None, None] + mean).reshape(-1, angle.shape[3], 3)
         moves = (step * jnp.stack([cos, -sin], -1)).reshape(-1, angle.shape[3], 2)
         newest = state.recent.tip[0] - tips
+        x, y = (-newest[:, None, None, None, a] for a in (0, 1))
+        growth = chip_growth(
+            x * outward.sin + y * outward.cos,
+            x * outward.cos - y * outward.sin,
+            self.angles,
+        )
+        growth = held_at_rest(growth, safe_norm(newest)[:, None, None, None])
         chip = jax.vmap(lambda offset, e: chip_along(radius, offset, e, 0.0))(
             newest, outward
         )
@@ -99,6 +110,7 @@ class UprightFlat(AbstractEngagement):
             moves,
             chips,
             cutter,
+            growth=growth.reshape(moves.shape[:-1]),
             track=track,
             slots=state.slots,
         )
@@ -134,6 +146,11 @@ class UprightFlat(AbstractEngagement):
             before = feed / cutter.diameter
             touch = touch * held_at_rest(taken_over(lead, step, before), feed)
             chip = chip * held_at_rest(chip_taken_over(lead, step, before), feed)
+        else:
+            slope = outward.cos * motion[0] - outward.sin * motion[1]
+            chip = jnp.maximum(chip, 0) + rounded_corner(
+                per_way * feed, slope, self.angles
+            )
         wrench = wrench_of_discs(process, samples, chip, touch)
         if self.bottom is None or samples.bottom is None:
             return wrench

@@ -41,7 +41,7 @@ from ...numerics import (
     ramp,
     with_derivative_of,
 )
-from .mean_step import mean_step
+from .mean_step import hat_moment, mean_step
 from .nearest_interval import nearest_interval, taken
 from .stock import Stock
 from .tooth_pass import PoseTrack
@@ -123,6 +123,7 @@ class Discs(eqx.Module):
         chips: Float[Array, "point disc 2"],
         cutter: AbstractCutter,
         *,
+        growth: Float[Array, "point disc"] | None = None,
         track: PoseTrack | None = None,
         slots: Int[Array, " 3"] | None = None,
     ) -> ChipsInStock:
@@ -136,6 +137,9 @@ class Discs(eqx.Module):
                 (point, disc, 2).
             chips: From each point to the inner side of its chip [m], as `moves`.
             cutter: The cutter that cut the stock; used only with `track`.
+            growth: How much thicker a chip is at the next sample [-], shape (point,
+                disc): beside a wall it counts as thick as in the middle of the part
+                that is in the material. None for chips of constant thickness.
             track: All poses so far, to which the derivative goes; None differentiates
                 through the stock.
             slots: How many slots of each family hold anything, shape (3,); counted if
@@ -160,7 +164,9 @@ class Discs(eqx.Module):
         if track is not None:
             walls = _tie_walls(cutter, walls, track)
         walls = tuple(_read_ends(wall) for wall in walls)
-        rim = _Rim(place, move, chip, heights)
+        if growth is None:
+            growth = jnp.zeros_like(points[..., 0])
+        rim = _Rim(place, move, chip, hold(growth.T), heights)
         found = _combine(self, stock.spacing, stock.origin, rim, columns, walls)
         return hold(ChipsInStock(*(share.T for share in hold(found))))
 
@@ -187,12 +193,14 @@ class _Rim(eqx.Module):
         place: In `work`, at the height of the tip [m].
         move: To the next sample [m].
         chip: To the inner side of the chip [m].
+        growth: Of the chip from sample to sample [-].
         heights: At which walls are looked for [m].
     """
 
     place: _Place
     move: _Across
     chip: _Across
+    growth: Float[Array, "disc point"]
     heights: Float[Array, "element point"]
 
 
@@ -490,6 +498,7 @@ def _wall_occupancy(
     says = jnp.full_like(heights, _BLIND)
     certainty = jnp.zeros_like(heights)
     ahead = jnp.zeros_like(heights)
+    entering = jnp.zeros_like(heights)
     inward = jnp.zeros_like(heights)
     for f, wall in enumerate(walls):
         # On three lines, below and above.
@@ -517,11 +526,14 @@ def _wall_occupancy(
         )
         say = (weight + _BLIND) / jnp.sqrt(steepness)
         ahead = ahead + say * jnp.abs(crossed)
+        entering = entering + say * crossed
         inward = inward + say * deeper
         total = total + say * s_here
         says = says + weight + _BLIND
         certainty = certainty + weight
-    inside, ahead, inward = hold([x / says for x in (total, ahead, inward)])
+    inside, ahead, entering, inward = hold(
+        [x / says for x in (total, ahead, entering, inward)]
+    )
     # A wall that an edge follows rather than crosses is not blurred along its way.
     width = _FOLLOWED * band + ramp(ahead - _FOLLOWED * band, _CORNER * band)
     width = hold(width - ramp(width - band, _CORNER * band))
@@ -530,6 +542,8 @@ def _wall_occupancy(
     # To the nearer side of the chip, without the kink of a greatest one.
     touched = hat_integral((inside + (inward + length) / 2) / width)
     filled = mean_step(inside + inward / 2, width, length)
+    moment = hat_moment((inside + inward / 2) / width) * entering / width
+    filled = filled + _at_discs(rim.growth, len(heights)) * moment
     # A wall that both families see at 45 degrees is sure, its corner rounded off below.
     sure = 2 * (1 + _SURE) * certainty
     return _BesideWalls(touched, filled, sure - ramp(sure - 1, _SURE))

@@ -32,7 +32,7 @@ from jaxtyping import Array, Bool, Float, Int
 from ...cutter import AbstractCutter
 from ...numerics import Recomputed, clamp, with_derivative_of
 from .._pose import Pose
-from .mean_step import mean_step
+from .mean_step import hat_moment, mean_step
 from .nearest_interval import nearest_interval, taken
 from .occupancy import REACH, ChipsInStock
 from .stock import Stock
@@ -63,6 +63,13 @@ class _RayPair(NamedTuple):
 # The rays around a point are (row, column) 00, 01, 10, 11.
 _ACROSS_ROWS = (_RayPair(0, 2), _RayPair(1, 3))
 _ACROSS_COLUMNS = (_RayPair(0, 1), _RayPair(2, 3))
+
+
+class _Cells(eqx.Module):
+    """What pieces of edge take [m], and the growth of their chips [-]."""
+
+    edges: Float[Array, "point edge 3"]
+    growth: Float[Array, " point"]
 
 
 class _Near(eqx.Module):
@@ -102,6 +109,7 @@ def occupancy_in_space(
     cutter: AbstractCutter,
     track: PoseTrack | None = None,
     *,
+    growth: Float[Array, " point"] | None = None,
     slots: Int[Array, " 3"] | None = None,
 ) -> ChipsInStock:
     """Return how much of the chips at pieces of edge is in the material.
@@ -116,6 +124,8 @@ def occupancy_in_space(
         cutter: The cutter that cut the stock; used only with `track`.
         track: All poses so far, to which the derivative goes; None differentiates
             through the stock.
+        growth: How much thicker a chip is at the next sample [-], shape (point,), as
+            of `Discs.occupancy`; None for chips of constant thickness.
         slots: How many slots of each family hold anything, shape (3,); counted if not
             given.
 
@@ -135,7 +145,8 @@ def occupancy_in_space(
         old = [n.ends for n in frozen]
         ends = with_derivative_of(old, _made_ends, cutter, frozen, track)
     ends = Recomputed.read(ends)
-    found = _combine(points, cells, ends, near, grid)
+    growth = jnp.zeros_like(points[:, 0]) if growth is None else growth
+    found = _combine(points, _Cells(cells, growth), ends, near, grid)
     return ChipsInStock(found[:, 0], found[:, 1])
 
 
@@ -229,7 +240,7 @@ def _offset_of_ends(
 
 def _combine(
     points: Float[Array, "point 3"],
-    cells: Float[Array, "point edge 3"],
+    cells: _Cells,
     ends: list[Float[Array, "point 4"]],
     near: tuple[_Near, ...],
     grid: _Grid,
@@ -253,11 +264,11 @@ def _combine(
 
 
 def _shares(
-    face: _Face, cells: Float[Array, "point edge 3"], band: float | Float[Array, ""]
+    face: _Face, cells: _Cells, band: float | Float[Array, ""]
 ) -> tuple[Float[Array, " point"], Float[Array, " point"]]:
     """Return how much of the pieces and of their chips lies inside one plane."""
     # How far it is out of the material along each edge of the cell.
-    out = jnp.sum(face.normal[:, None] * cells, axis=-1)
+    out = jnp.sum(face.normal[:, None] * cells.edges, axis=-1)
     shortest = _SHORTEST * band
     along = jnp.maximum(jnp.abs(out[:, 0]), shortest)
     width = jnp.maximum(jnp.abs(out[:, 1]), shortest)
@@ -265,7 +276,9 @@ def _shares(
     inward = out[:, 2]
     touched = mean_step(face.distance + jnp.maximum(inward, 0), width, along)
     length = jnp.sqrt(along**2 + inward**2)
-    return touched, mean_step(face.distance + inward / 2, width, length)
+    middle = face.distance + inward / 2
+    moment = hat_moment(middle / width) * out[:, 1] / width
+    return touched, mean_step(middle, width, length) - cells.growth * moment
 
 
 def _inside(
