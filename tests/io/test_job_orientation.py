@@ -132,7 +132,10 @@ def test_a_cutter_that_lies_flat_or_points_up_is_noted(write):
     job = load_job(write(up, name="part.csv"))
     assert any("points up" in note and "180.0 deg" in note for note in job.notes)
     turned = load_job(write(up, program='tool_axis = "z"', name="part.csv"))
-    assert turned.path.is_upright
+    # How a path states its axis says nothing of the tool that a program is written for.
+    assert turned.path.is_upright and turned.output.tool_axis == "z"
+    chosen = write(up, 'rigid = true\n[output]\ntool_axis = "x"', name="part.csv")
+    assert load_job(chosen).output.tool_axis == "x"
     (problem,) = problems_of(write(up, program='tool_axis = "x"', name="part.csv"))
     assert 'the tool axis "x"; allowed for path as CSV: z, -z' in problem
 

@@ -126,3 +126,12 @@ def test_all_faults_are_listed_up_to_twenty(read):
 def test_missing_file_is_named(tmp_path):
     with pytest.raises(ProgramError, match=r"nothing\.csv"):
         read_path_csv(tmp_path / "nothing.csv")
+
+
+def test_only_a_stated_axis_is_turned(tmp_path):
+    rows = ["time_s,x_mm,y_mm,z_mm{}", "0,0,0,0{}", "1,9,0,0{}"]
+    for more in (("", "", ""), (",i,j,k", ",0,0,-1", ",0,0,-1")):
+        file = tmp_path / "path.csv"
+        file.write_text("\n".join(map(str.format, rows, more)))
+        path = read_path_csv(file, is_axis_to_tip=True)
+        assert np.asarray(path.axes)[:, 2].tolist() == [1, 1]

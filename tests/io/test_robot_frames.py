@@ -54,6 +54,41 @@ def test_external_axes_of_krl_stand_still_or_are_refused(read):
     assert faults(read, krl(*rows, "LIN_REL {E1 3}"))[0][0] == 6
 
 
+def test_an_external_axis_is_stated_from_the_start_or_not_at_all(read):
+    assert faults(read, krl(H, "LIN {X 9}", "LIN {X 12,E1 500}")) == [(5, "E1")]
+    moved = rapid(move(0), move(9, axis="500"))
+    assert faults(read, moved, ".mod") == [(4, "external axis a")]
+
+
+def test_what_a_spline_is_told_ends_with_it(read):
+    rows = "SPLINE WITH $ORI_TYPE=#CONSTANT", "SLIN {X 10,B 20}", "ENDSPLINE"
+    moves = read(krl(H, *rows, "LIN {X 30,A 0,B 10,C 180}")).moves
+    leans = [math.degrees(math.acos(move.axis[2])) for move in moves]
+    assert leans == pytest.approx([0, 0, 10], abs=1e-6)
+
+
+def test_an_orientation_is_known_where_the_place_is(read):
+    turned = "PTP {X 0,Y 0,Z 0,A 0,B 90,C 0}"
+    home = "PTP {A1 0,A2 -90,A3 90,A4 0,A5 0,A6 0}"
+    # A motion of joints leaves no orientation that a position could keep.
+    program = read(krl(turned, "LIN {X 1}", home, "LIN {X 10,Y 0,Z 0}", "LIN {X 20}"))
+    assert program.moves[-1].axis == pytest.approx((0, 0, 1))
+    first = "LIN {X 0,Y 0,Z 0,A 0,B 30,C 180}"
+    program = read(krl("$ORI_TYPE=#CONSTANT", first, "LIN {X 9,A 0,B 0,C 180}"))
+    assert program.moves[-1].axis[2] == pytest.approx(math.cos(math.radians(30)))
+
+
+def test_both_sentences_on_one_word_are_noted(read):
+    notes = read(krl("$ORI_TYPE=#VAR", H, "$ORI_TYPE=#CONSTANT", "LIN {X 9}")).notes
+    assert len([note for note in notes if "$ORI_TYPE" in note]) == 2
+
+
+def test_a_position_may_serve_as_a_base(read):
+    data = "DECL E6POS B1={X 100,Y 0,Z 50,A 0,B 0,C 0,S 2,T 2,E1 0}"
+    program = read(krl(data, "$BASE=B1", H, "LIN {X 9}"))
+    assert program.work_position == pytest.approx((0.1, 0, 0.05))
+
+
 def test_a_base_on_a_table_that_turns_is_refused(read):
     table = "$BASE=EK(MACHINE_DEF[2].ROOT,MACHINE_DEF[2].MECH_TYPE,{X 0,Y 0,Z 0})"
     assert [line for line, _ in faults(read, krl(table, H, "LIN {X 9}"))] == [3]
@@ -85,7 +120,8 @@ def test_a_robot_that_holds_the_work_is_refused(read):
 
 
 def test_tool_and_work_object_of_rapid_are_stated(read):
-    data = MILL.format("TRUE") + WORK.format("FALSE", "FALSE", "STN1", QUARTER)
+    mill = MILL.format("TRUE")
+    data = mill + WORK.format("FALSE", "TRUE", "", QUARTER)
     program = read(rapid(move(0), move(9), data=data), ".mod")
     assert program.work_position == pytest.approx((1.0, 0.0, 0.52))
     assert program.work_rpy == pytest.approx((0, 0, math.pi / 2), abs=1e-6)
@@ -93,7 +129,11 @@ def test_tool_and_work_object_of_rapid_are_stated(read):
     assert part.tool_position == pytest.approx((0.0, 0.01, 0.25))
     # Half a turn about y, and ours about x: half a turn about z.
     assert part.tool_rpy == pytest.approx((0, 0, math.pi), abs=1e-6)
+    data = mill + WORK.format("FALSE", "FALSE", "STN1", QUARTER)
+    program = read(rapid(move(0), move(9), data=data), ".mod")
     assert any("moves with a mechanical unit" in note for note in program.notes)
+    # The unit says where its frame lies, and not the program.
+    assert program.work_position is None
 
 
 def test_base_and_tool_of_krl_are_stated(read):

@@ -484,7 +484,9 @@ def _assemble(
         keeps_intervals=block.intervals is not None,
         output=output.settings(
             is_upright=path.is_upright,
-            tool_axis=None if tables.program is None else tables.program.tool_axis,
+            tool_axis=None
+            if isinstance(program, Path) or tables.program is None
+            else tables.program.tool_axis,
             first_angles=getattr(program, "first_angles", None),
         ),
         controller=parts.controller,

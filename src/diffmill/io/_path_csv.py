@@ -24,7 +24,9 @@ _UNITS = {"time": _TIMES, "x": _LENGTHS, "y": _LENGTHS, "z": _LENGTHS, "feed": _
 _PLAIN = ("rapid", "line", "i", "j", "k")
 
 
-def read_path_csv(file: str | os.PathLike[str]) -> Path:
+def read_path_csv(
+    file: str | os.PathLike[str], *, is_axis_to_tip: bool = False
+) -> Path:
     """Return a path from a CSV file, its rows as recorded.
 
     The header names the columns with their units: `time_s,x_mm,y_mm,z_mm` are needed
@@ -35,6 +37,8 @@ def read_path_csv(file: str | os.PathLike[str]) -> Path:
 
     Args:
         file: Path of the file.
+        is_axis_to_tip: Whether i, j, k point from the shank to the tip, as the tool's
+            z of most controllers; else from tip to shank.
 
     Returns:
         The path in SI units, with the instants as recorded: bring it to the tooth
@@ -45,7 +49,7 @@ def read_path_csv(file: str | os.PathLike[str]) -> Path:
         ProgramError: If anything in the file is wrong; up to 20 faults are listed.
     """
     path = pathlib.Path(file)
-    return _path_of_text(read_text(path), path.name)
+    return _path_of_text(read_text(path), path.name, is_axis_to_tip=is_axis_to_tip)
 
 
 def _refused(name: str, faults: list[str]) -> ProgramError:
@@ -60,7 +64,7 @@ class _Line(NamedTuple):
     text: str
 
 
-def _path_of_text(text: str, name: str) -> Path:
+def _path_of_text(text: str, name: str, *, is_axis_to_tip: bool) -> Path:
     """Return a path from CSV text; arguments and errors as `read_path_csv`."""
     rows = [
         _Line(number, line.strip())
@@ -88,6 +92,8 @@ def _path_of_text(text: str, name: str) -> Path:
     _check(data, lines, faults)
     if faults:
         raise _refused(name, faults)
+    if is_axis_to_tip and "i" in data:
+        data |= {key: -data[key] for key in "ijk"}
     return _path(data, lines)
 
 

@@ -285,6 +285,11 @@ class OutputTable(TomlTable):
         description="true: also writes the program itself with the ends of its blocks "
         "moved",
     )
+    tool_axis: Literal["x", "y", "z", "-x", "-y", "-z"] | None = Field(
+        default=None,
+        description="axis of the controller's tool that points from the shank to the "
+        "tip, in KRL and RAPID; if left out that of a KRL or RAPID program, else z",
+    )
 
     def settings(
         self,
@@ -304,7 +309,7 @@ class OutputTable(TomlTable):
             max_step=self.max_step,
             is_spline=self.blocks == "spline",
             moves_ends=self.moved_ends,
-            tool_axis=tool_axis or "z",
+            tool_axis=self.tool_axis or tool_axis or "z",
             first_angles=first_angles,
         )
 

@@ -5,9 +5,6 @@ import os
 import pathlib
 from collections.abc import Sequence
 
-import equinox as eqx
-import numpy as np
-
 from ...toolpath import Path, Program, sample_program
 from .._path_csv import read_path_csv, write_path_csv
 from .dialects import recognised
@@ -57,10 +54,7 @@ def read_program(
     if problem := _tool_axis_problem(suffix, setup.tool_axis):
         raise ProgramError(path.name, [Fault(0, "", problem)])
     if suffix == ".csv":
-        recorded = read_path_csv(path)
-        if setup.tool_axis != "z":
-            return recorded
-        return eqx.tree_at(lambda p: p.axes, recorded, -np.asarray(recorded.axes))
+        return read_path_csv(path, is_axis_to_tip=setup.tool_axis == "z")
     if suffix not in PROGRAM_FORMATS:
         fault = Fault(
             0, "", f"the suffix {suffix!r} is not known; allowed: {allowed()}."

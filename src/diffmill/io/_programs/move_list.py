@@ -55,7 +55,7 @@ class MoveList:
     _speed: float | None = None
     _speeds: dict[float, None] = field(default_factory=dict)
     _all_speeds: dict[float, None] = field(default_factory=dict)
-    _notes: dict[str, _Note] = field(default_factory=dict)
+    _notes: dict[tuple[str, str], _Note] = field(default_factory=dict)
     _lost: set[str] = field(default_factory=set)
     # Line of the first motion whose numbers are not known.
     _unknown: int | None = None
@@ -161,7 +161,7 @@ class MoveList:
 
     def note(self, word: str, sentence: str, line: int) -> None:
         """Note a word that changes no motion, or an assumption."""
-        note = self._notes.setdefault(word, _Note(sentence))
+        note = self._notes.setdefault((word, sentence), _Note(sentence))
         note.count += 1
         if len(note.lines) < _LISTED and line not in note.lines:
             note.lines.append(line)
@@ -189,7 +189,9 @@ class MoveList:
             source=text,
             name=self.name,
             sections=tuple(self.sections),
-            notes=tuple(_sentence(word, note) for word, note in self._notes.items()),
+            notes=tuple(
+                _sentence(word, note) for (word, _), note in self._notes.items()
+            ),
         )
 
     def _note_speeds(self) -> None:

@@ -393,9 +393,11 @@ def _cycle(row: str, parts: list[str], line: int, reader: _Apt) -> None:
     for unit in _FEEDS_OF_TURN:
         if unit in words:
             reader.refuse(line, row, "a feed per turn is not supported in a cycle.")
-    for unit in ("MMPM", "IPM"):
+    if "DWELL" in words and "REV" in parts:
+        reader.refuse(line, row, "a rest in revolutions is not supported.")
+    for unit, scale in _FEED_UNITS.items():
         if unit in words:
-            reader.cycle_feed = words[unit] * (_FEED_UNITS[unit] or 1.0) * 1e-3 / 60
+            reader.cycle_feed = words[unit] * (scale or reader.scale) * 1e-3 / 60
 
 
 def _drill(

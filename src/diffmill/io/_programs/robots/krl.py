@@ -117,8 +117,8 @@ class _Krl(Reader):
         self.scalars: dict[str, float] = {}
         # An upright tool, until the program states an orientation.
         upright = controller_matrix(self.axis, None, tool_axis)
-        angles = zip("ABC", abc_of_rotation(upright), strict=True)
-        self.values: dict[str, float] = dict.fromkeys("XYZ", 0.0) | dict(angles)
+        self.upright = dict(zip("ABC", abc_of_rotation(upright), strict=True))
+        self.values: dict[str, float] = dict.fromkeys("XYZ", 0.0) | self.upright
         self.is_turned = False
         self.first_angles: Point | None = None
         self.turns = {"ORI_TYPE": "VAR", "CIRC_TYPE": "BASE"}
@@ -126,8 +126,10 @@ class _Krl(Reader):
         self.external, self.external_axes = dict[str, float](), ExternalAxes()
         self.base_and_tool = KrlFrames()
         self.spline: list[_Knot] | None = None
-        # The feed outside of the spline block.
+        # Feed, frames and turns outside of the spline block.
         self.outer_feed: float | None = None
+        self.outer_frames = self.base_and_tool.chosen
+        self.outer_turns = dict(self.turns)
         self.is_ended = False
 
 
@@ -430,6 +432,7 @@ def _motion(
         reader.out.note(kind, message, line)
         reader.lose_place(line)
         reader.is_turned = False
+        reader.values |= reader.upright
         return
     if not reader.is_placed and not is_relative and {*"XYZ"} - set(found[-1]):
         if reader.out.moves:
@@ -444,7 +447,8 @@ def _motion(
     if is_relative:
         is_tool = along is not None and along[1].upper() == "TOOL"
         found = [_moved(pose, is_tool, rest, line, reader) for pose in found]
-    if kind not in ("PTP", "SPTP") and reader.turns["ORI_TYPE"] == "CONSTANT":
+    is_constant = reader.turns["ORI_TYPE"] == "CONSTANT" and reader.is_placed
+    if kind not in ("PTP", "SPTP") and is_constant:
         if wanted == 2 and reader.turns["CIRC_TYPE"] == "PATH":
             message = "an orientation that follows the circle is not supported."
             reader.refuse(line, rest, message)
@@ -506,7 +510,7 @@ def _moved(
     if is_tool:
         step = rotation_of_abc(values["A"], values["B"], values["C"]) @ step
     moved = zip("XYZ", step.tolist(), strict=True)
-    return {**values, **{key: values[key] + value for key, value in moved}}
+    return {key: values[key] + value for key, value in moved}
 
 
 def _apply(pose: dict[str, float], values: dict[str, float]) -> dict[str, float]:
@@ -551,11 +555,14 @@ def _spline(word: str, row: str, line: int, reader: _Krl) -> None:
     """Begin or end a SPLINE block."""
     if word == "SPLINE":
         reader.outer_feed, reader.spline = reader.feed, []
+        reader.outer_frames = reader.base_and_tool.chosen
+        reader.outer_turns = dict(reader.turns)
         for text in _WITH.split(row, maxsplit=1)[1:]:
             _set_with(text, line, reader)
         return
     knots, reader.spline = reader.spline, None
-    reader.feed = reader.outer_feed
+    reader.feed, reader.turns = reader.outer_feed, reader.outer_turns
+    reader.base_and_tool.chosen = reader.outer_frames
     if not knots:
         reader.refuse(line, row, "the SPLINE block has no segment.")
         return

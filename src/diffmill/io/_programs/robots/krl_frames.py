@@ -98,7 +98,9 @@ class KrlFrames:
 
     def choose_base(self, base: Frame, line: int) -> None:
         """Let a base hold."""
-        self.chosen = self.chosen._replace(base=base, line=line)
+        # A position that serves as a base has status, turn and external axes, too.
+        frame = {key: value for key, value in base.items() if key in "XYZABC"}
+        self.chosen = self.chosen._replace(base=frame or base, line=line)
 
     def choose_tool(
         self, value: str, frames: Mapping[str, Frame], frame: Frame | None = None

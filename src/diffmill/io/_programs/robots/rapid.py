@@ -150,7 +150,8 @@ def parse_rapid(
     program = reader.out.finish(text)
     if reader.work_object is not None:
         data = reader.work_objects.get(reader.work_object)
-        pose = None if data is None else data.pose()
+        is_known = data is not None and not data.moves_with_unit
+        pose = data.pose() if is_known and data is not None else None
         if pose is not None:
             program = dataclasses.replace(
                 program,

@@ -47,7 +47,7 @@ _HARMLESS = frozenset([410, 420])
 _NORMALS = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 _CENTRE_WORDS = "IJK"
 _PROGRAM_NUMBER = re.compile(r"\s*[oO]\s*\d+\s*(\(.*|;.*)?")
-_NESTED = re.compile(r"\([^);]*\(")
+_NESTED = re.compile(r"^[^;]*\([^);]*\(")
 _NO_MOTION = {
     "end": "stops for the operator, which takes no time here",
     "spindle": "the cutter is taken to be made for a spindle that turns this way",
