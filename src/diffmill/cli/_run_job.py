@@ -8,13 +8,19 @@ import pathlib
 import sys
 import threading
 import time
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
 from .._jax_config import configure_jax
 from .._results_folder import ResultsFolder
-from ._analyses import FinishedRun, add_analyses
+from ._analyses import (
+    FinishedRun,
+    add_analyses,
+    job_stability,
+    stability_lines,
+)
 from ._session.checkpoint import Checkpoint
 from ._session.errors import (
     NO_TILT,
@@ -29,6 +35,7 @@ from ._session.progress import Progress
 if TYPE_CHECKING:
     from .._job import Job
     from .._result import SimulationFailed
+    from ..sim import Stability
 
 # xarray and the parts that compute are imported when a job runs.
 Dataset: TypeAlias = Any
@@ -110,9 +117,15 @@ def run_job(
     for note in (*job.notes, *filter(None, [uncached])):
         progress.say(f"note: {note}")
     start = time.perf_counter()
+    chatter: list[Stability] = []
+
+    def tell_chatter(before: Outcome) -> None:
+        if found := _chatter(job, before, progress):
+            chatter.append(found)
+
     try:
         with progress:
-            outcome = _compute(command, job, progress, checkpoint)
+            outcome = _compute(command, job, progress, checkpoint, tell_chatter)
     except SimulationFailed as failure:
         return _keep_failure(folder, job, failure, force=force)
     except BadInput:
@@ -171,11 +184,26 @@ def run_job(
         checkpoint.remove()
     progress.answer(_summary(dataset))
     progress.say(f"results: {folder}; the run took {seconds:.1f} s with compilation")
-    run = FinishedRun(job, solutions, final, dataset, program, surfaces)
+    run = FinishedRun(job, solutions, final, dataset, program, surfaces, *chatter)
     code = _analyse(folder, run, progress)
     if progress.prints_json:
         print(json.dumps(_figures(dataset, folder, job.notes), indent=2))
     return code
+
+
+def _chatter(job: "Job", before: Outcome, progress: Progress) -> "Stability | None":
+    """Return the chatter of the uncorrected path, and say it before it is corrected."""
+    try:
+        found = job_stability(job, before)
+    except Exception as error:
+        # The analyses after the run try it again and keep what fails.
+        progress.say(f"warning: stability before the correction failed: {error}")
+        return None
+    if found is None or found.warning() is None:
+        return None
+    for line in stability_lines(found):
+        progress.say(line)
+    return found
 
 
 def _surfaces(outcome: Outcome) -> tuple[dict[str, Any], str]:
@@ -264,9 +292,13 @@ def _summary(dataset: Dataset) -> str:
 
 
 def _compute(
-    command: str, job: "Job", progress: Progress, checkpoint: Checkpoint | None
+    command: str,
+    job: "Job",
+    progress: Progress,
+    checkpoint: Checkpoint | None,
+    on_predicted: Callable[[Outcome], None],
 ) -> Outcome:
-    """Run the job."""
+    """Run the job; `on_predicted` is called before anything is corrected."""
     from ..sim import simulate
 
     if command == "simulate":
@@ -281,6 +313,7 @@ def _compute(
     with bad_correction(job.name, "to correct"):
         return correct(
             job,
+            on_predicted=on_predicted,
             on_progress=tell,
             on_checkpoint=None if checkpoint is None else checkpoint.write,
             resume=None if checkpoint is None else checkpoint.resumed,
