@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import xarray
 
-from diffmill import config, sim, viz
+from diffmill import config, correction, sim, viz
 from diffmill.cli import main
 
 PROGRAM = """G21 G17 G90 G94
@@ -95,9 +95,10 @@ def chatter(job, solution):
     return types.SimpleNamespace(
         row=np.arange(3),
         radius=np.array([0.9, 1.2, 1.1]),
+        frequency=np.array([10.0, 58.7, 59.0]),
+        strongest=1,
         warning=lambda: "the cut is unstable",
         visibility=lambda: "it shows",
-        is_of_path=True,
     )
 
 
@@ -164,10 +165,11 @@ def test_growth_too_brief_for_chatter_is_no_warning(folder, monkeypatch, capsys)
     found = types.SimpleNamespace(
         row=np.arange(3),
         radius=np.array([0.9, 1.01, 0.9]),
+        frequency=np.array([10.0, 58.7, 59.0]),
+        strongest=1,
         warning=lambda: None,
         note=lambda: "vibrations grow, too briefly",
         visibility=lambda: "it shows",
-        is_of_path=True,
     )
     monkeypatch.setattr(sim.Stability, "where_suspected", lambda job, solution: found)
     monkeypatch.setattr(viz, "figure_inputs", fail)
@@ -214,6 +216,35 @@ def test_the_verdict_tells_of_chatter_and_scatter(folder, monkeypatch, capsys, s
     monkeypatch.setattr(sim, "error_band", step)
     monkeypatch.setattr(viz, "figure_inputs", fail)
     main(["simulate", "job.toml", "--tolerance-band", "20 um"])
-    (verdict,) = [x for x in capsys.readouterr().out.splitlines() if "20 um." in x]
-    assert "But the cut is unstable" in verdict
+    (verdict,) = [x for x in capsys.readouterr().out.splitlines() if "unstable" in x]
+    assert verdict.startswith("The cut is unstable (chatter). A vibration at 58.7 Hz")
     assert ("3 um rms is to be expected" in verdict) == (step is band)
+
+
+def test_chatter_is_told_before_anything_is_corrected(folder, monkeypatch, capsys):
+    (folder / "job.toml").write_text(JOB.replace("[robot]\nrigid = true\n", ELASTIC))
+    monkeypatch.setattr(sim.Stability, "where_suspected", chatter)
+
+    def correct(job, *, on_predicted, **_):
+        on_predicted(fake_simulate(job, on_progress=None))
+        assert "warning: the cut is unstable" in capsys.readouterr().err
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(correction, "correct", correct)
+    assert main(["correct", "job.toml"]) == 1
+    assert "interrupted" in capsys.readouterr().err
+
+
+def test_a_search_for_chatter_that_fails_stops_no_correction(
+    folder, monkeypatch, capsys
+):
+    (folder / "job.toml").write_text(JOB.replace("[robot]\nrigid = true\n", ELASTIC))
+    monkeypatch.setattr(sim.Stability, "where_suspected", fail)
+
+    def correct(job, *, on_predicted, **_):
+        on_predicted(fake_simulate(job, on_progress=None))
+        assert "no memory left" in capsys.readouterr().err
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(correction, "correct", correct)
+    assert main(["correct", "job.toml"]) == 1

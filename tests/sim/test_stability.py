@@ -2,15 +2,18 @@
 
 import functools
 import math
+import types
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.ndimage import uniform_filter1d
 
 from diffmill import (
     JobError,
     cutter as ct,
     cutting,
+    examples,
     load_job,
     process as pr,
     robot as rb,
@@ -148,6 +151,23 @@ def test_a_tool_that_nearly_stands_does_not_chatter():
     assert found.has_chatter[1:].all()
 
 
+def test_in_a_pause_a_vibration_decays_as_in_the_air():
+    q, frame = slot(1.1 * limit()[0])
+    arm = sim.ElasticArm(one_mode(), frame)
+    rows = np.arange(124)
+    cuts = (rows >= 60) & ((rows < 85) | (rows >= 105))
+    found = sim.Stability.along(
+        arm, PROCESS, q, q, [60, 80, 110, 120], is_moving_cut=cuts
+    )
+    decay = RATIO * 2 * math.pi * FREQUENCY * PERIOD
+    np.testing.assert_allclose(found.free_growth, -decay, rtol=1e-9)
+    # Periods that are nearest to each row, and 20 between the second and the third.
+    before, after = np.split(np.log(found.radius) * [11, 14, 11, 8], 2)
+    left = max(before.sum() - 20 * decay, 0.0)
+    wanted = [before.sum()] * 2 + [left + after.sum()] * 2
+    np.testing.assert_allclose(found.log_growth, wanted, rtol=1e-9)
+
+
 JOB = """
 [cutter]
 kind = "flat"
@@ -214,6 +234,82 @@ def slot_in_slides(folder, share):
     program = PROGRAM.replace("Z-1", f"Z{-1e3 * share * limit()[0]:.6f}")
     (folder / "part.ngc").write_text(program.replace("F3000", "F1600"))
     return load_job(file)
+
+
+MODE = """
+[[machine.modes]]
+frequency = "60 Hz"
+damping_ratio = 0.04
+direction = [1, 0, 0]
+stiffness = "1 N/um"
+"""
+
+
+def test_a_quick_look_is_where_chips_and_time_are(tmp_path, monkeypatch):
+    """Not where the tool stands, and not in a chip that does not last."""
+    file = write_job(tmp_path, "rigid = true", '"quick"')
+    file.write_text(file.read_text().replace("[robot]\nrigid = true\n", MODE))
+    stops = "".join(f"G1 X{x} F3000\nG4 P0.2\n" for x in (2, 6, 10, 14))
+    program = PROGRAM.replace("G1 X4 F3000\n", stops)
+    (tmp_path / "part.ngc").write_text(program)
+    job = load_job(file)
+    tips = np.asarray(job.path.positions)
+    x = tips[:, 0]
+    way = np.linalg.norm(np.diff(tips, axis=0, prepend=tips[:1]), axis=1)
+    cuts = (tips[:, 2] < 0) & (x > -5e-3)
+    volume = np.where((x > 6e-3) & (x < 10e-3), 2.0, 1.0) * way * cuts
+    # One thick chip, and what a bent tool that creeps on removes where it stands.
+    volume[np.argmax(x > 3e-3)] *= 3
+    creeping = cuts & (way < 1e-6)
+    taken = volume + 1e-4 * creeping
+    assert creeping.sum() > 100 and (volume > 0).sum() > 100
+    # What the look reads of a solution, without a run.
+    solution = object.__new__(sim.Solution)
+    for name, value in {
+        "desired": jnp.asarray(tips),
+        "commanded": jnp.asarray(tips),
+        "actual": jnp.asarray(tips + 1e-12 * np.arange(len(tips))[:, None]),
+        "is_cutting": cuts,
+        "removed_volume": taken,
+        "rigid": types.SimpleNamespace(removed_volume=taken),
+    }.items():
+        object.__setattr__(solution, name, value)
+    seen = []
+
+    def quick_slopes(process, path, rows):
+        seen.extend(rows)
+        raise NotImplementedError
+
+    monkeypatch.setattr("diffmill.sim._analysis.stability.quick_slopes", quick_slopes)
+    with pytest.raises(NotImplementedError):
+        sim.Stability.where_suspected(job, solution)
+    assert (way[seen] > 0.1 * np.percentile(way[cuts & (way > 0)], 90)).all()
+    deep = (x[seen] > 6e-3) & (x[seen] < 10e-3)
+    assert 4 <= deep.sum() < len(seen) - 4
+    assert np.argmax(x > 3e-3) not in seen
+
+
+@pytest.mark.slow
+def test_the_example_without_its_added_damping_is_unstable(tmp_path):
+    file = examples.copy_example("paper", tmp_path)
+    text = file.read_text()
+    start = text.index("joint_damping = [")
+    file.write_text(text[:start] + text[text.index("]", start) + 1 :])
+    job = load_job(file)
+    solution = sim.simulate(job)
+    found = sim.Stability.where_suspected(job, solution)
+    assert found is not None and found.warning() is not None
+    most = found.log_growth == found.log_growth.max()
+    # More than twenty times in the longest slot.
+    assert found.log_growth.max() > math.log(20)
+    np.testing.assert_allclose(found.frequency[most], 58.7, atol=4)
+    # The simulated vibration grows so, too, until it is as large as the chip is thick.
+    swing = np.asarray(solution.actual) - np.asarray(solution.commanded)
+    size = np.linalg.norm(swing - uniform_filter1d(swing, 16, axis=0), axis=1)
+    first = int(found.row[most][0]) + 20
+    near = lambda row: size[row - 8 : row + 8].max()
+    grown = math.log(near(first + 60) / near(first)) / 60
+    assert grown == pytest.approx(np.log(found.radius[most]).mean(), abs=0.01)
 
 
 @pytest.mark.slow

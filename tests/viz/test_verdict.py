@@ -193,6 +193,34 @@ def test_chatter_limits_the_result(tmp_path, correction, chatters):
     assert ("a corrected path does not" in text) == bool(chatters)
 
 
+def test_an_unstable_cut_is_the_headline_whatever_its_errors_are(correction):
+    told = {
+        "stability_has_chatter": 1,
+        "stability_largest_radius": 1.043,
+        "stability_frequency": 58.7,
+    }
+    for band in (0.0, 1.0):
+        given = correction.assign_attrs(tolerance_band=band)
+        assert not summary(given, "verdict").startswith("The cut is unstable")
+        text = summary(given.assign_attrs(told), "verdict")
+        assert text.startswith(
+            "The cut is unstable (chatter). A vibration at 58.7 Hz grows by up to "
+            "4.3 % per tooth period"
+        )
+        assert "no corrected path calms it" in text
+
+
+def test_a_mirror_that_diverges_is_marked(tmp_path, correction):
+    grown = correction["contour_error"].copy(deep=True)
+    grown.loc[{"case": "mirror"}] *= 10.0
+    diverged = correction.assign(contour_error=grown)
+    for dataset, diverges in ((correction, False), (diverged, True)):
+        lines = summary(dataset, "figures").splitlines()
+        marked = [line.split()[0] for line in lines if line.endswith("  diverges")]
+        assert marked == (["mirror"] if diverges else [])
+        assert ("diverges (0." in report(tmp_path, dataset)) == diverges
+
+
 def test_a_verdict_says_what_the_contour_error_does_not_count(tmp_path, correction):
     band = 1.01 * corrected_error(correction).max()
     cases = correction["case"].values
@@ -204,7 +232,9 @@ def test_a_verdict_says_what_the_contour_error_does_not_count(tmp_path, correcti
     text = report(tmp_path, given)
     assert "inside the part (x, y, z = 1.00, -2.00, 3.50 mm), cut at" in text
     assert f"up to {3e6 * band:.3g} \u00b5m inside the part" in text
-    assert "But the cut is unstable" in text and "Not within" in text
+    assert "The cut is unstable" in text and "Not within" not in text
+    given = given.assign_attrs(stability_has_chatter=0)
+    assert "Not within" in report(tmp_path, given)
     without = summary(given.assign_attrs(tolerance_band=0.0), "verdict")
     assert "cuts into the part" in without and "inside the part" in without
     some = summary(given.assign(surface_deepest=("case", 0.4 * deep)), "verdict")

@@ -14,6 +14,7 @@ from ._written.surface_file import write_surface
 if TYPE_CHECKING:
     from .._job import Job
     from ..config import JobProgram
+    from ..sim import Stability
     from ..workpiece import SurfaceError
 
 # xarray and the parts that compute are imported when a job runs.
@@ -32,6 +33,8 @@ class FinishedRun(NamedTuple):
         dataset: The content of `result.nc`.
         program: The job's program before it was timed, where its block ends are moved.
         surfaces: Surface errors of the solutions; None where they are not computed.
+        chatter: Chatter of the uncorrected path, which has been told; None if there
+            is none.
     """
 
     job: "Job"
@@ -40,6 +43,7 @@ class FinishedRun(NamedTuple):
     dataset: Dataset
     program: "JobProgram | None" = None
     surfaces: "Mapping[str, SurfaceError] | None" = None
+    chatter: "Stability | None" = None
 
 
 def add_analyses(folder: pathlib.Path, run: FinishedRun, progress: Progress) -> int:
@@ -130,32 +134,42 @@ def _with_contacts(run: FinishedRun, progress: Progress) -> Dataset:
 
 
 def _with_stability(run: FinishedRun, progress: Progress) -> Dataset:
-    """Return the dataset with what the search for chatter finds; say it."""
+    """Return the dataset with what the search for chatter finds; say what is new."""
+    dataset, found = run.dataset, run.chatter
+    if found is None:
+        found = job_stability(run.job, run.final)
+        if found is None:
+            return dataset
+        _said(stability_lines(found), progress)
+    dataset = _with_notes(dataset, stability_lines(found))
+    return dataset.assign_attrs(
+        stability_largest_radius=float(found.radius[found.strongest]),
+        stability_frequency=float(found.frequency[found.strongest]),
+        stability_has_chatter=int(found.warning() is not None),
+    )
+
+
+def job_stability(job: "Job", solution: Solution) -> "Stability | None":
+    """Return the growth of vibrations as a job asks for it.
+
+    None where nothing is suspected, and of a path in the air.
+    """
     from ..sim import Stability, stability
 
-    job, dataset = run.job, run.dataset
     check = job.simulation.stability
-    if check == "none" or not np.asarray(run.final.is_cutting).any():
-        return dataset
+    if check == "none" or not np.asarray(solution.is_cutting).any():
+        return None
     look = Stability.where_suspected if check == "quick" else stability
-    found = look(job, run.final)
-    if found is None:
-        return dataset
+    return look(job, solution)
+
+
+def stability_lines(found: "Stability") -> list[str]:
+    """Return what is said of the growth of vibrations."""
     warning = found.warning()
-    lines = [
+    return [
         f"warning: {warning}" if warning else f"stability: {found.note()}",
         f"stability: {found.visibility()}",
     ]
-    if not found.is_of_path and warning is None:
-        lines.append(
-            "stability: looked at where the cut is deepest; [simulation] "
-            "stability = true looks along the whole path"
-        )
-    dataset = _with_notes(dataset, _said(lines, progress))
-    return dataset.assign_attrs(
-        stability_largest_radius=float(found.radius.max()),
-        stability_has_chatter=int(warning is not None),
-    )
 
 
 def _with_sensitivity(run: FinishedRun, progress: Progress) -> Dataset:

@@ -8,6 +8,7 @@ import pathlib
 import sys
 import threading
 import time
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -15,7 +16,12 @@ import numpy as np
 from .._jax_config import configure_jax
 from .._messages import printable
 from .._results_folder import ResultsFolder
-from ._analyses import FinishedRun, add_analyses
+from ._analyses import (
+    FinishedRun,
+    add_analyses,
+    job_stability,
+    stability_lines,
+)
 from ._session.checkpoint import Checkpoint
 from ._session.errors import (
     NO_TILT,
@@ -33,6 +39,7 @@ if TYPE_CHECKING:
     from .._job import Job
     from .._result import SimulationFailed
     from ..config import JobProgram
+    from ..sim import Stability
 
 # xarray and the parts that compute are imported when a job runs.
 Dataset: TypeAlias = Any
@@ -140,6 +147,7 @@ class _Run:
         self._command, self._job, self._progress = command, job, progress
         self._folder, self._may_replace = folder, may_replace
         self._is_written = False
+        self._chatter: list[Stability] = []
 
     def left(self) -> str:
         """Return what an interruption leaves, as a sentence."""
@@ -164,7 +172,11 @@ class _Run:
         try:
             with self._progress:
                 outcome = _compute(
-                    self._command, self._job, self._progress, self.checkpoint
+                    self._command,
+                    self._job,
+                    self._progress,
+                    self.checkpoint,
+                    self._tell_chatter,
                 )
         except SimulationFailed as failure:
             return _keep_failure(
@@ -196,6 +208,11 @@ class _Run:
             figures = _figures(run.dataset, self._folder, run.job.notes)
             print(json.dumps(figures, indent=2))
         return code
+
+    def _tell_chatter(self, before: Outcome) -> None:
+        """Say that the uncorrected path chatters, before it is corrected."""
+        if found := _chatter(self._job, before, self._progress):
+            self._chatter.append(found)
 
     def _write(
         self, outcome: Outcome, band: float | None, seconds: float
@@ -243,7 +260,24 @@ class _Run:
         finally:
             # An interruption while files get their names is raised behind that.
             self._is_written = results.version not in (None, before)
-        return FinishedRun(job, solutions, final, dataset, self.program, surfaces)
+        return FinishedRun(
+            job, solutions, final, dataset, self.program, surfaces, *self._chatter
+        )
+
+
+def _chatter(job: "Job", before: Outcome, progress: Progress) -> "Stability | None":
+    """Return the chatter of the uncorrected path, and say it before it is corrected."""
+    try:
+        found = job_stability(job, before)
+    except Exception as error:
+        # The analyses after the run try it again and keep what fails.
+        progress.say(f"warning: stability before the correction failed: {error}")
+        return None
+    if found is None or found.warning() is None:
+        return None
+    for line in stability_lines(found):
+        progress.say(line)
+    return found
 
 
 def _surfaces(outcome: Outcome) -> tuple[dict[str, Any], str]:
@@ -316,9 +350,13 @@ def _summary(dataset: Dataset) -> str:
 
 
 def _compute(
-    command: str, job: "Job", progress: Progress, checkpoint: Checkpoint | None
+    command: str,
+    job: "Job",
+    progress: Progress,
+    checkpoint: Checkpoint | None,
+    on_predicted: Callable[[Outcome], None],
 ) -> Outcome:
-    """Run the job."""
+    """Run the job; `on_predicted` is called before anything is corrected."""
     from ..sim import simulate
 
     if command == "simulate":
@@ -333,6 +371,7 @@ def _compute(
     with bad_correction(job.name, "to correct"):
         return correct(
             job,
+            on_predicted=on_predicted,
             on_progress=tell,
             on_checkpoint=None if checkpoint is None else checkpoint.write,
             resume=None if checkpoint is None else checkpoint.resumed,

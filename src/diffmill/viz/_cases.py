@@ -122,6 +122,19 @@ def shown_cases(dataset: "xarray.Dataset") -> tuple[str, ...]:
     )
 
 
+def is_diverging(dataset: "xarray.Dataset", case: str) -> bool:
+    """Whether a mirror leaves a larger error than the one that it subtracts.
+
+    Each further mirror then makes it larger still.
+    """
+    if not case.startswith("mirror"):
+        return False
+    before, after = (
+        case_numbers(dataset, name).rms for name in (reference_case(dataset), case)
+    )
+    return bool(np.isfinite(before) and not after <= before)
+
+
 def case_numbers(dataset: "xarray.Dataset", case: str) -> CaseNumbers:
     """Return the headline figures of one case; NaN where an input is absent."""
     cutting = cutting_of(dataset, case)

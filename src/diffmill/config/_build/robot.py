@@ -87,6 +87,12 @@ def read_robot(
     if stiffness is not None and not (stiffness > 0).all():
         problems.append("[robot] joint_stiffness: found 0, but above 0 is required")
         return FittedRobot()
+    for key, own, stated in (
+        ("joint_stiffness", robot.joint_stiffness, stiffness),
+        ("joint_damping", robot.joint_damping, damping),
+    ):
+        if stated is not None:
+            context.notes.extend(_drive_notes(table, key, np.asarray(own), stated))
     robot = robot.with_drives(stiffness=stiffness, damping=damping)
     check_springs(robot, problems)
     if table.tool_in_flange is not None:
@@ -99,6 +105,22 @@ def read_robot(
     if start is not None:
         start = np.pad(start, (0, robot.joint_count - len(start)))
     return FittedRobot(robot, start, T_flange_tool)
+
+
+def _drive_notes(
+    table: RobotTable,
+    key: str,
+    own: Float[np.ndarray, " joint"],
+    stated: Float[np.ndarray, " joint"],
+) -> list[str]:
+    """Return how many times the robot's own values the stated ones are, if not once."""
+    ratio = stated[own > 0] / own[own > 0]
+    if not ratio.size or np.allclose(ratio, 1.0):
+        return []
+    least, most = (f"{value:.3g}" for value in (ratio.min(), ratio.max()))
+    times = least if least == most else f"{least} to {most}"
+    source = table.model or table.file
+    return [f"[robot] {key}: {times} times that of the robot's own file, {source}"]
 
 
 def _tool_notes(T_flange_tool: Float[np.ndarray, "4 4"]) -> list[str]:

@@ -407,7 +407,7 @@ class SimulationTable(TomlTable):
     stability: StrictBool | Literal["quick"] = Field(
         default="quick",
         description="true: chatter is looked for along the whole path; quick: only "
-        "where the cut is deepest; false: nowhere",
+        "where most is cut; false: nowhere",
     )
     sensitivity: StrictBool = Field(
         default=False,

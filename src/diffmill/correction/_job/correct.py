@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple
 
 import equinox as eqx
@@ -158,6 +159,7 @@ def correct(
     *,
     objective: AbstractObjective | None = None,
     throw: bool = True,
+    on_predicted: Callable[[Solution], None] | None = None,
     on_progress: OnProgress | None = None,
     on_checkpoint: OnCheckpoint | None = None,
     resume: Arrays | None = None,
@@ -175,6 +177,8 @@ def correct(
         objective: The error that is to become small, if it is another one than the job
             knows; the path is then corrected as a whole, however long it is.
         throw: Whether to raise when the uncorrected run does not succeed.
+        on_predicted: Called with the solution of the uncorrected program, before any
+            method runs.
         on_progress: Called with a message and the rms contour error so far [m].
         on_checkpoint: Called with all that is needed to go on, plain arrays by name:
             after every method, every step of Gauss-Newton on a whole path, and every
@@ -222,6 +226,8 @@ def correct(
     rigid = before.rigid
     if throw:
         before.raise_unless_successful(job)
+    if on_predicted is not None:
+        on_predicted(before)
     is_optimised = "corrected" in compared(job)
     surface = job_surface(job, rigid, before.wall_share) if is_optimised else None
     weights = counting_weights(job, before, surface)

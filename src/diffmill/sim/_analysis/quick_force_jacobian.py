@@ -54,7 +54,9 @@ def quick_slopes(
     for row, kept in zip(rows, near, strict=True):
         at = kept[np.minimum(np.arange(chunks * _CHUNK), len(kept) - 1)]
         earlier = path[at.reshape(chunks, _CHUNK)]
-        slopes = _slopes(process, earlier, path[int(row)], periods)
+        # What only fills the shape is not looked at.
+        count = jnp.asarray(math.ceil(len(kept) / _CHUNK), jnp.int32)
+        slopes = _slopes(process, earlier, count, path[int(row)], periods)
         slopes = np.asarray(slopes, np.float64)
         if process.cutter.has_even_pitch:
             slopes = slopes.sum(axis=2, keepdims=True)
@@ -78,7 +80,7 @@ def _near_rows(
 
 @CompiledOnce
 def _slopes(
-    process: Process, earlier: Pose, now: Pose, periods: int
+    process: Process, earlier: Pose, count: Int[Array, ""], now: Pose, periods: int
 ) -> Float[Array, "period piece tooth 3 3"]:
     """Return the slopes of each tooth's force in the tip, in `work` [N/m]."""
     cutter = process.cutter
@@ -96,7 +98,7 @@ def _slopes(
     normal = column(edge.sin_kappa) * e - column(edge.cos_kappa) * a
     tip = now.tip.reshape(1, 1, 1, 3)
     points = tip + column(edge.radius) * e + column(edge.height) * a
-    chip, clearance = _chip_and_clearance(cutter, points, earlier)
+    chip, clearance = _chip_and_clearance(cutter, points, earlier, count)
     h = jnp.clip(chip, 0, cutter.nominal_radius)
     tooth = jnp.broadcast_to(
         jnp.arange(teeth, dtype=jnp.int32)[None, :, None], phi.shape
@@ -125,18 +127,23 @@ def _edge(process: Process, dtype: jnp.dtype) -> EdgeElements:
 
 
 def _chip_and_clearance(
-    cutter: AbstractCutter, points: Float[Array, "piece tooth element 3"], earlier: Pose
+    cutter: AbstractCutter,
+    points: Float[Array, "piece tooth element 3"],
+    earlier: Pose,
+    count: Int[Array, ""],
 ) -> tuple[Float[Array, "piece tooth element"], Float[Array, "piece tooth element"]]:
     """Return the distance from the newest pose, and the least one from all [m]."""
     places = points.reshape(-1, 3)
     level = jax.vmap(lambda tip, axis: cutter.level(places, tip[None], axis[None]))
     axes = earlier.direction()
 
-    def step(least: Array, pose: Pose) -> tuple[Array, None]:
-        return jnp.minimum(least, jnp.min(level(pose.tip, pose.axis), axis=0)), None
+    def step(chunk: Array, least: Array) -> Array:
+        return jnp.minimum(
+            least, jnp.min(level(earlier.tip[chunk], axes[chunk]), axis=0)
+        )
 
     chip = cutter.level(places, earlier.tip[0, :1], axes[0, :1])
-    clearance, _ = jax.lax.scan(step, chip, Pose(earlier.tip, axes))
+    clearance = jax.lax.fori_loop(0, count, step, chip)
     shape = points.shape[:-1]
     return chip.reshape(shape), clearance.reshape(shape)
 

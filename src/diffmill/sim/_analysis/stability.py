@@ -23,7 +23,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..._job import Job
 from ..._live_rows import padded_count
-from ..._moving_rows import is_moving, least_way, ways
+from ..._moving_rows import is_moving, ways
 from ..._types import Transform
 from ...process import Process, StockHeld
 from ...robot import ArmTerms, Robot
@@ -38,11 +38,16 @@ from .monodromy import Regeneration, Step, monodromy, strongest
 from .quick_force_jacobian import quick_slopes
 
 # Rows that are looked at unless asked for, and those of a quick look.
-_ROWS, _QUICK_ROWS = 100, 6
+_ROWS, _QUICK_ROWS = 100, 24
+# Tooth periods over which a cross section of the chip must last to be judged by it, and
+# over which the mean of a vibration is the deflection about which it swings.
+_LASTING, _MEAN = 8, 16
 # A vibration that does not even double before the cut calms it again reaches nothing.
 _CHATTER = math.log(2)
 # An undamped arm in the air has the radius 1; rounding must not make it unstable.
 _TOLERANCE = 1e-4
+# Of a vibration that is gone after one period.
+_LEAST_RADIUS = 1e-30
 # Steps of the analysis per turn of the fastest mode that counts, and per tooth period.
 _STEPS, _LEAST, _MOST = 24, 48, 1200
 # Steps per turn with which the forces of a vibration are right to 3 % here, and with
@@ -65,15 +70,16 @@ class Stability(eqx.Module):
         frequency: Frequency of that vibration [Hz], shape (row,).
         apparent_frequency: Frequency at which it shows in the poses, one per tooth
             period [Hz], shape (row,); at most half the tooth passing frequency.
-        log_growth: Logarithm of the factor by which a vibration grows in all along the
-            stretch of consecutive unstable rows [-], shape (row,); 0 at stable rows and
-            where the tool nearly stands.
+        free_growth: Logarithm of the factor by which that vibration grows per tooth
+            period in the air [-], shape (row,); negative, since the machine damps it.
+        log_growth: Logarithm of the largest factor by which a vibration grows that
+            passes an unstable row [-], shape (row,); 0 at stable rows and where the
+            tool nearly stands.
         tooth_frequency: Tooth passing frequency [Hz].
         fastest_mode: Frequency of the fastest mode that the cut could excite [Hz]; 0
             if there is none.
         substeps: Sub-steps of the simulation per tooth period.
         steps: Steps of this analysis per tooth period.
-        is_of_path: Whether the rows are spread along the whole path.
     """
 
     row: Int[np.ndarray, " row"]
@@ -82,12 +88,12 @@ class Stability(eqx.Module):
     radius: Float[np.ndarray, " row"]
     frequency: Float[np.ndarray, " row"]
     apparent_frequency: Float[np.ndarray, " row"]
+    free_growth: Float[np.ndarray, " row"]
     log_growth: Float[np.ndarray, " row"]
     tooth_frequency: float
     fastest_mode: float
     substeps: int = eqx.field(static=True)
     steps: int = eqx.field(static=True)
-    is_of_path: bool = eqx.field(static=True, default=False)
 
     @property
     def is_unstable(self) -> Bool[np.ndarray, " row"]:
@@ -99,23 +105,31 @@ class Stability(eqx.Module):
         """Whether a vibration has the time to double there, shape (row,)."""
         return self.log_growth >= _CHATTER
 
+    @property
+    def strongest(self) -> int:
+        """Index of the fastest growth of those that chatter, or of all if none does."""
+        counts = self.has_chatter | ~self.has_chatter.any()
+        return int(np.argmax(np.where(counts, self.radius, 0.0)))
+
     def warning(self) -> str | None:
         """Return what the user must know of an unstable cut, or None."""
         if not self.has_chatter.any():
             return None
-        radius = np.where(self.has_chatter, self.radius, 0.0)
-        k, count = int(np.argmax(radius)), int(self.has_chatter.sum())
+        k, count = self.strongest, int(self.has_chatter.sum())
         first = float(self.time[np.argmax(self.has_chatter)])
         x, y, z = self.position[k] * 1e3
-        growth = float(self.radius[k]) - 1
+        growth, largest = float(self.radius[k]) - 1, float(self.log_growth.max())
+        # Far beyond what a tool that leaves the material reaches.
+        is_endless = largest > math.log(1e3)
+        in_all = "over 1000-fold" if is_endless else f"{math.exp(largest):.3g}-fold"
         return (
             f"the cut is unstable (chatter) at {count} of the {len(self.row)} rows "
             f"looked at, from time {first:.3f} s; most at {self.time[k]:.3f} s, "
             f"position ({x:.2f}, {y:.2f}, {z:.2f}) mm: a vibration at "
             f"{self.frequency[k]:.1f} Hz grows by {100 * growth:.2g} % "
             f"per tooth period, threefold in {1.1 / self.tooth_frequency / growth:.2g} "
-            "s; a smaller depth of cut, another spindle speed or more damping calms "
-            "it, a corrected path does not"
+            f"s, and {in_all} in the worst stretch; a smaller depth of cut, another "
+            "spindle speed or more damping calms it, a corrected path does not"
         )
 
     def note(self) -> str:
@@ -208,26 +222,25 @@ class Stability(eqx.Module):
         found = _growth(arm, process, motion, chosen, slopes)
         if is_moving_cut is None:
             is_moving_cut = is_moving(ways(motion.tips), np.ones(step_count, bool))
-        total = _log_growth(chosen, found.radius, is_moving_cut)
-        return dataclasses.replace(found, log_growth=total)
+        return _with_total(found, is_moving_cut)
 
     @staticmethod
     def where_suspected(job: Job, solution: Solution) -> "Stability | None":
         """Return how vibrations grow where a quick look finds that they may.
 
-        The quick look takes the deepest cut of each of a few stretches of the path, and
-        the slopes of its force from where the tool has been
-        (`_analysis/quick_force_jacobian.py`). What it suspects is looked at as by
-        `stability`, along the whole path if it has the time to become chatter there;
-        between the rows of the quick look chatter is missed.
+        The quick look takes the largest lasting cross section of the chip in each of a
+        few shares of the removed volume, and the slopes of its force from where the
+        tool has been (`_analysis/quick_force_jacobian.py`). Where it suspects one row
+        the whole path is looked at as by `stability`; what chatters between its rows
+        alone is missed.
 
         Args:
             job: The job.
             solution: Its solution.
 
         Returns:
-            The growth at the suspected rows or along the whole path; None where nothing
-            grows, also for a rigid machine and a quasi-static job.
+            The growth along the whole path; None where nothing grows, also for a rigid
+            machine and a quasi-static job.
 
         Differentiability: none, a host function.
         """
@@ -238,24 +251,15 @@ class Stability(eqx.Module):
             return None
         job = job.with_precision()
         machine, process, motion = _machine(job), _process(job), _motion(job, solution)
-        path = Pose(solution.actual)
+        path = Pose(motion.tips)
         if not process.engagement.is_upright:
             path = _poses(machine, motion.joints, is_upright=False)
         slopes = quick_slopes(process, path, rows)
-        quick = _growth(machine, process, motion, rows, slopes)
-        if not quick.is_unstable.any():
+        if not _growth(machine, process, motion, rows, slopes).is_unstable.any():
             return None
-        rows, first = np.unique(quick.row, return_index=True)
-        radius, is_suspected = quick.radius[first], quick.is_unstable[first]
-        found = stability(job, solution, rows=rows[is_suspected])
-        if not found.is_unstable.any():
-            return None
-        # The rows that nothing is suspected of end the stretches of the others.
-        radius[is_suspected] = found.radius
-        total = _log_growth(rows, radius, _moving_cut(solution))[is_suspected]
-        found = dataclasses.replace(found, log_growth=total)
         # A few deep rows do not tell for how long it grows: the whole path does.
-        return stability(job, solution) if found.has_chatter.any() else found
+        found = stability(job, solution)
+        return found if found.is_unstable.any() else None
 
 
 def stability(
@@ -272,8 +276,8 @@ def stability(
     Args:
         job: The job; its machine must not be rigid.
         solution: Its solution; simulated if not given.
-        rows: Rows to look at, from 1; if not given, up to 100 rows where the tool
-            cuts and does not nearly stand, evenly spread.
+        rows: Rows to look at, from 1; if not given, up to 124 rows where the tool
+            cuts and does not nearly stand: evenly spread, and those of a quick look.
 
     Returns:
         The growth, on the host.
@@ -293,14 +297,15 @@ def stability(
         )
     job = job.with_precision()
     solution = simulate(job) if solution is None else solution
-    is_moving_cut, is_of_path = _moving_cut(solution), rows is None
+    is_moving_cut = _moving_cut(solution)
     if rows is None:
         cutting = np.flatnonzero(is_moving_cut)
         if cutting.size == 0:
             raise ValueError("Argument `solution` must cut somewhere, but does not.")
-        rows = cutting[:: math.ceil(cutting.size / _ROWS)]
+        rows = cutting[cutting > 0][:: math.ceil(cutting.size / _ROWS)]
+        rows = np.concatenate([rows, _deep_rows(solution)])
     motion = _motion(job, solution)
-    found = Stability.along(
+    return Stability.along(
         _machine(job),
         _process(job),
         motion.motors,
@@ -308,7 +313,6 @@ def stability(
         rows,
         is_moving_cut=is_moving_cut,
     )
-    return dataclasses.replace(found, is_of_path=is_of_path)
 
 
 def _moving_cut(solution: Solution) -> Bool[np.ndarray, " step"]:
@@ -316,47 +320,62 @@ def _moving_cut(solution: Solution) -> Bool[np.ndarray, " step"]:
     return is_moving(ways(solution.desired), np.asarray(solution.is_cutting))
 
 
-def _log_growth(
-    rows: Int[np.ndarray, " row"],
-    radius: Float[np.ndarray, " row"],
-    is_moving_cut: Bool[np.ndarray, " step"],
-) -> Float[np.ndarray, " row"]:
-    """Return the logarithm of the growth along the unstable stretch of each row.
+def _with_total(
+    found: Stability, is_moving_cut: Bool[np.ndarray, " step"]
+) -> Stability:
+    """Return the growth with the largest factor of a vibration that passes each row.
 
     A row stands for the periods of the moving cut that are nearer to it than to others.
+    Between them, in the air and where the tool nearly stands, a vibration decays as it
+    does in the air; it begins anew where nothing is left of it.
 
     Args:
-        rows: Rows that were looked at, ascending, shape (row,).
-        radius: Growth per tooth period, shape (row,).
+        found: The growth at rows in ascending order.
         is_moving_cut: Where the tool cuts and does not nearly stand, shape (step,).
     """
-    total = np.zeros(len(rows))
-    known = np.flatnonzero(is_moving_cut[rows])
+    known = np.flatnonzero(is_moving_cut[found.row])
+    total = np.zeros(len(found.row))
     if not known.size:
-        return total
-    middles = (rows[known][1:] + rows[known][:-1]) / 2
-    nearest = np.searchsorted(middles, np.flatnonzero(is_moving_cut))
+        return found
+    rows, moving = found.row[known], np.flatnonzero(is_moving_cut)
+    nearest = np.searchsorted((rows[1:] + rows[:-1]) / 2, moving)
     periods = np.bincount(nearest, minlength=known.size)
-    grows = radius[known] > 1 + _TOLERANCE
-    stretch = np.cumsum(np.diff(grows, prepend=grows[:1]))
-    growth = np.where(grows, periods * np.log(radius[known]), 0.0)
-    total[known] = np.bincount(stretch, growth)[stretch]
-    return total
+    growth = periods * np.log(np.maximum(found.radius[known], _LEAST_RADIUS))
+    # Of the row before the pause.
+    pauses = np.diff(rows) - np.diff(np.searchsorted(moving, rows))
+    decay = pauses * np.minimum(found.free_growth[known][:-1], 0.0)
+    largest, start, size = 0.0, 0, 0.0
+    for k, more in enumerate(growth):
+        size += decay[k - 1] if k else 0.0
+        if size <= 0:
+            size, largest, start = 0.0, 0.0, k
+        size += more
+        if size > largest:
+            largest = size
+            total[known[start : k + 1]] = largest
+    return dataclasses.replace(
+        found, log_growth=np.where(found.is_unstable, total, 0.0)
+    )
 
 
 def _deep_rows(solution: Solution) -> Int[np.ndarray, " row"]:
-    """Return the rows of the largest chip's cross section in stretches of the cut."""
-    way = ways(solution.actual)
-    volume = np.asarray(solution.removed_volume)
-    cuts = np.flatnonzero(np.asarray(solution.is_cutting) & (volume > 0) & (way > 0))
-    cuts = cuts[cuts > 0]
-    if cuts.size == 0:
-        return cuts
-    area = volume[cuts] / np.maximum(way[cuts], least_way(way[cuts]))
-    stretches = np.array_split(np.arange(cuts.size), min(_QUICK_ROWS, cuts.size))
-    rows = [cuts[stretch[np.argmax(area[stretch])]] for stretch in stretches]
+    """Return the rows of the largest chips that last, in shares of the removed volume.
+
+    The chip is that of the rigid tool: one that vibrates leaves now more and now less.
+    """
+    rows = np.flatnonzero(_moving_cut(solution))
+    rows = rows[rows > 0]
+    volume = np.maximum(np.asarray(solution.rigid.removed_volume)[rows], 0.0)
+    if not volume.any():
+        return rows[:0]
+    window = np.ones(min(_LASTING, rows.size))
+    lasting = lambda x: np.convolve(x, window, "same")
+    area = lasting(volume) / lasting(ways(solution.desired)[rows])
+    done = np.cumsum(volume)
+    share = np.ceil(_QUICK_ROWS * done / done[-1]) - 1
+    deepest = [rows[share == k][np.argmax(area[share == k])] for k in np.unique(share)]
     # As many rows for every job: one compiled program.
-    return np.resize(np.array(rows), _QUICK_ROWS)
+    return np.resize(np.array(deepest), _QUICK_ROWS)
 
 
 def _process(job: Job) -> Process:
@@ -374,13 +393,28 @@ def _machine(job: Job) -> ElasticArm | ModalMachine:
 
 
 def _motion(job: Job, solution: Solution) -> "_Motion":
-    """Return the motion of a solution."""
+    """Return the motion of a solution without the vibrations about it.
+
+    The map is that of small ones: a tool that chatters already has grown beyond them.
+    """
+    tips = _mean_about(solution.commanded, solution.actual)
     if job.modes is not None:
         rows = JobKinematics(job).tool_rows
-        return _Motion(rows(solution.commanded), rows(solution.actual), solution.actual)
-    assert solution.motor_positions is not None
-    assert solution.joint_positions is not None
-    return _Motion(solution.motor_positions, solution.joint_positions, solution.actual)
+        return _Motion(rows(solution.commanded), rows(tips), tips)
+    motors, joints = solution.motor_positions, solution.joint_positions
+    assert motors is not None and joints is not None
+    return _Motion(motors, _mean_about(motors, joints), tips)
+
+
+def _mean_about(
+    command: Float[Array, "step axis"], actual: Float[Array, "step axis"]
+) -> Float[Array, "step axis"]:
+    """Return a motion with the mean of its deviation over some periods."""
+    from scipy.ndimage import uniform_filter1d
+
+    deviation = np.asarray(actual) - np.asarray(command)
+    mean = uniform_filter1d(deviation, _MEAN, axis=0, mode="nearest")
+    return command + jnp.asarray(mean, actual.dtype)
 
 
 def _poses(
@@ -454,11 +488,15 @@ def _growth(
     gains = [max(period.gain() for period in periods) for periods in slopes]
     fastest = max(map(_fastest_mode, A, G, C, gains))
     steps = int(np.clip(math.ceil(_STEPS * T * fastest), _LEAST, _MOST))
-    found = []
+    found, free = [], []
     for A_k, G_k, C_k, periods in zip(A, G, C, slopes, strict=True):
         over_step = Step.of(A_k, G_k, T / steps)
         periods = [period.in_steps(steps) for period in periods]
         found.append(strongest(monodromy(over_step, C_k, periods), T))
+        # The mode that is nearest to it swings on in the air.
+        poles = np.linalg.eigvals(A_k)
+        off = np.abs(np.abs(poles.imag) - 2 * math.pi * found[-1].frequency)
+        free.append(T * poles.real[np.argmin(off)])
     radius, frequency, apparent = np.array(found).T
     return Stability(
         row=rows,
@@ -467,6 +505,7 @@ def _growth(
         radius=radius,
         frequency=frequency,
         apparent_frequency=apparent,
+        free_growth=np.array(free),
         log_growth=np.zeros(len(rows)),
         tooth_frequency=1 / T,
         fastest_mode=fastest,

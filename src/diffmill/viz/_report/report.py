@@ -11,7 +11,8 @@ What it reads of a result besides the variables of `simulate` and `correct`:
   the errors that the program in `corrected.SUFFIX` leaves, and likewise `moved_` and
   `stream_` for those files; `is_successful` (0 marks a run that failed);
   `tolerance_band` [m], the contour error to hold the result against;
-  `stability_has_chatter` (1 where vibrations grow);
+  `stability_has_chatter` (1 where vibrations grow), and of those that grow most
+  `stability_largest_radius`, `stability_frequency` [Hz];
 - every other attribute is listed as a setting.
 """
 
@@ -30,6 +31,7 @@ from .._cases import (
     case_names,
     case_numbers,
     chosen_case,
+    is_diverging,
     reference_case,
     values_of,
 )
@@ -230,7 +232,7 @@ def _result_blocks(dataset: "xarray.Dataset") -> list[str]:
             _um(item.rms),
             _um(item.percentile_95),
             _um(item.maximum),
-            "-" if item is reference else _times(reference.rms, item.rms),
+            _gain(dataset, item, reference),
             _um(item.deviation_rms),
             _number(item.force_mean),
             _number(item.force_maximum),
@@ -260,11 +262,21 @@ def _result_blocks(dataset: "xarray.Dataset") -> list[str]:
         "Contour error: distance of the tool tip from the desired line. Deviation: "
         "distance from the desired point at the same instant. Both, and the mean "
         "force, over the steps that cut; forces are means over a tooth period. Bold: "
-        "the smallest rms contour error."
+        "the smallest rms contour error. A mirror diverges where it leaves more error "
+        "than it subtracts."
     )
     blocks = [table, f'<p class="note">{legend}</p>']
     departure = departure_text(dataset)
     return [*blocks, f"<p>{escape(departure)}</p>"] if departure else blocks
+
+
+def _gain(dataset: "xarray.Dataset", item: CaseNumbers, reference: CaseNumbers) -> str:
+    """Return how many times smaller a case's error is than the reference's."""
+    if item is reference:
+        return "-"
+    if is_diverging(dataset, item.name):
+        return f"diverges ({_times(reference.rms, item.rms)})"
+    return _times(reference.rms, item.rms)
 
 
 def _chosen(dataset: "xarray.Dataset") -> str:

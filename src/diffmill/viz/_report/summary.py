@@ -1,11 +1,10 @@
 """The headline figures of a result as text."""
 
-from collections.abc import Mapping
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from .._cases import case_names, case_numbers, select_case
+from .._cases import case_names, case_numbers, is_diverging, select_case
 from .._style import MICROMETRE
 from .case_parts import case_parts, out_of_cut_lines, surface_kinds
 from .verdict import departure_text, unsettled_text, verdict
@@ -29,14 +28,14 @@ def summary(
     name = dataset.attrs.get("job", "job")
     rows = [f"{name}: contour error where the tool cuts [um], force [N]"]
     rows.append(f"{'case':16}{'rms':>10}{'95 %':>10}{'max':>10}{'mean force':>12}")
-    cases = {case: case_numbers(dataset, case) for case in case_names(dataset)}
-    for case, found in cases.items():
+    for case in case_names(dataset):
+        found = case_numbers(dataset, case)
         errors = (found.rms, found.percentile_95, found.maximum)
         numbers = "".join(_cell(value * 1e6, 10) for value in errors)
-        rows.append(f"{case:16}{numbers}{_cell(found.force_mean, 12)}")
-    rms = {case: found.rms for case, found in cases.items()}
+        mark = "  diverges" if is_diverging(dataset, case) else ""
+        rows.append(f"{case:16}{numbers}{_cell(found.force_mean, 12)}{mark}")
     unsettled = unsettled_text(dataset)
-    rows += [*_surface(dataset), *_parts(dataset), *_mirror(rms)]
+    rows += [*_surface(dataset), *_parts(dataset), *_mirror(dataset)]
     rows += [f"note: {unsettled}"] if unsettled else []
     return "\n".join(rows if only else [*rows, *_verdict(dataset)])
 
@@ -46,9 +45,9 @@ def _cell(value: float, width: int) -> str:
     return f"{value:{width}.2f}" if np.isfinite(value) else f"{'-':>{width}}"
 
 
-def _mirror(rms: Mapping[str, float]) -> list[str]:
-    """Return why a mirror made it worse, if it did."""
-    if not rms.get("mirror", 0.0) > rms.get("uncorrected", np.inf):
+def _mirror(dataset: "xarray.Dataset") -> list[str]:
+    """Return why a mirror diverges, if one does."""
+    if not any(is_diverging(dataset, case) for case in case_names(dataset)):
         return []
     return [
         "note: the mirror is worse than no correction: it commands the opposite of the "

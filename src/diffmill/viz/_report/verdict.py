@@ -33,6 +33,8 @@ _DEEP = 1.5
 _STRIKING = 3.0
 # Volumes that are rounding [m^3].
 _NO_VOLUME = 1e-15
+# Title of the verdict on a cut in which vibrations grow, whatever its errors are.
+_UNSTABLE = "The cut is unstable (chatter)"
 # A part of the path is named if its share of the error is so much above its length.
 _TELLING = 0.1
 
@@ -105,8 +107,9 @@ def verdict(dataset: "xarray.Dataset", *, is_complete: bool = True) -> Verdict:
     error = _cutting_error(dataset, case)
     if not error.size:
         return Verdict(None, "No verdict", "Nothing was cut.")
+    chatter = _chatter(dataset)
     largest, label = float(error.max()), case_style(case).label
-    text = f"Largest contour error of the {label} path: {largest * 1e6:.3g} "
+    text = f"{chatter}Largest contour error of the {label} path: {largest * 1e6:.3g} "
     text += f"{MICROMETRE}{_place(dataset, case)}."
     expected = dataset.attrs.get("expected_contour_error_rms_m")
     model = _over_draws(dataset, case) or (
@@ -130,11 +133,14 @@ def verdict(dataset: "xarray.Dataset", *, is_complete: bool = True) -> Verdict:
             "asks for a verdict."
         )
         text += model if expected is None else ""
-        if has_shank:
-            return Verdict(False, "The shank is in the stock", text + shank)
-        if deepest > _STRIKING * largest:
-            return Verdict(False, "The tool cuts into the part", text + deep)
-        return Verdict(None, "No tolerance stated", text)
+        faults = {
+            _UNSTABLE: ("", bool(chatter)),
+            "The shank is in the stock": (shank, has_shank),
+            "The tool cuts into the part": (deep, deepest > _STRIKING * largest),
+        }
+        found = {title: more for title, (more, is_found) in faults.items() if is_found}
+        title = next(iter(found), "No tolerance stated")
+        return Verdict(False if found else None, title, text + "".join(found.values()))
     files = loaded_errors(dataset, "max")
     text += _written_text(dataset, band)
     if dataset.attrs.get("written_not_run"):
@@ -148,18 +154,33 @@ def verdict(dataset: "xarray.Dataset", *, is_complete: bool = True) -> Verdict:
         text += model
     text += deep if deepest > band else ""
     text += shank if has_shank else ""
-    if dataset.attrs.get("stability_has_chatter"):
-        text += " But the cut is unstable, see the warnings."
     # Written so that a number that is not finite does not count as held.
     left = (largest, *files.values(), deepest / _DEEP)
-    is_held = all(value <= band for value in left) and not has_shank
+    is_held = all(value <= band for value in left) and not (has_shank or chatter)
     share = 100 * float(np.mean(error <= band))
     # 99.97 % is not "100 %" of a path that leaves the band.
     shown = "all" if largest <= band else f"{min(share, 99.9):.1f} %"
     title = f"{'Within' if is_held else 'Not within'} {band * 1e6:.3g} {MICROMETRE}"
     whose = "The command" if case != reference_case(dataset) else "The path"
     text += f" {whose} is within the tolerance at {shown} of the steps that cut."
-    return Verdict(is_held, title, text)
+    return Verdict(is_held, _UNSTABLE if chatter else title, text)
+
+
+def _chatter(dataset: "xarray.Dataset") -> str:
+    """Return that vibrations grow and what it means for the figures, if they do."""
+    if not dataset.attrs.get("stability_has_chatter"):
+        return ""
+    text = "A vibration"
+    if "stability_frequency" in dataset.attrs:
+        growth = 100 * (float(dataset.attrs["stability_largest_radius"]) - 1)
+        frequency = float(dataset.attrs["stability_frequency"])
+        text += f" at {frequency:.1f} Hz"
+        text += f" grows by up to {growth:.2g} % per tooth period and"
+    return (
+        f"{text} goes on growing until the tool leaves the material: the errors below "
+        "are those of a cut that chatters, and no corrected path calms it (see the "
+        "warnings). "
+    )
 
 
 def _written_text(dataset: "xarray.Dataset", band: float) -> str:
