@@ -302,6 +302,20 @@ def test_suggested_tests_show_the_missing_joints():
     assert more.relative_errors[0] < 0.1
 
 
+def test_no_load_test_is_suggested_twice():
+    """With one joint to find, the load that turns it most stays the best one."""
+    robot = arm()
+    q, wrench, draw = loads(robot, 8, 3)
+    wrench[:, :2] = 0
+    d = moved(robot, q, wrench)[:, :3]
+    d += 0.02 * np.sqrt(np.mean(d**2)) * draw.normal(size=d.shape)
+    fit = identification.fit_joint_stiffness(robot, q, wrench, d)
+    more = identification.suggest_load_tests(robot, fit, q, wrench, count=5)
+    assert len(np.unique(np.hstack([more.q, more.wrench]), axis=0)) == 5
+    with pytest.raises(ValueError, match="`count` must be at most 600"):
+        identification.suggest_load_tests(robot, fit, q, wrench, count=601)
+
+
 def test_a_table_with_no_more_numbers_than_unknowns_is_told_what_helps():
     """Its scatter is not known, but what no force turns is: the last joint."""
     robot = arm((0.0, 0.0, 0.2))

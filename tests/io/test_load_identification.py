@@ -157,6 +157,19 @@ def test_a_force_that_is_left_out_changes_nothing_else(tmp_path):
         load(tmp_path, job.replace("force_records", "mean_forces"), two)
 
 
+def test_a_force_may_be_a_sum_of_columns(tmp_path):
+    time, force = forces()
+    columns = np.column_stack([0.25 * force[:, 0], 0.75 * force[:, 0], force[:, 1:]])
+    data = text(time, columns, "{},{},{},{},{}", "t_s,Fx12_N,Fx34_N,Fy_N,Fz_N\n")
+    job = HEAD + 'channels = { Fx = ["Fx12", "Fx34"] }'
+    found, one = (
+        load(tmp_path, *given).records[0] for given in ((job, data), (HEAD, None))
+    )
+    np.testing.assert_allclose(found.record.force, one.record.force, atol=1e-3)
+    with pytest.raises(JobError, match="a list of columns to be summed"):
+        load(tmp_path, HEAD + 'channels = { Fx = ["Fx12", "none"] }', data)
+
+
 def test_several_cuts_are_listed_and_named(tmp_path):
     data = text(*forces(cuts=2))
     with pytest.raises(JobError, match=r"2 cuts.* 0\.\d+"):

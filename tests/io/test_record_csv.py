@@ -470,3 +470,44 @@ def test_all_faults_are_told_at_once(tmp_path):
 def test_an_absent_file_is_a_record_error(tmp_path):
     with pytest.raises(io.RecordError):
         io.load_record(tmp_path / "absent.csv")
+
+
+def quarters(names="Fx12_N,Fx34_N,Fy14_N,Fy23_N,Fz1_N,Fz2_N,Fz3_N,Fz4_N"):
+    """A table of the eight channels of a dynamometer with four sensors."""
+    draw = np.random.default_rng(1)
+    half = np.round(draw.normal(size=(COUNT, 2)), 3)
+    quarter = np.round(draw.normal(size=(COUNT, 3)), 3)
+    columns = [
+        *(half[:, 0], FORCE[:, 0] - half[:, 0], half[:, 1], FORCE[:, 1] - half[:, 1]),
+        *(*quarter.T, FORCE[:, 2] - quarter.sum(axis=1)),
+    ]
+    body = "\n".join(
+        ",".join(f"{x:.3f}" for x in row) for row in np.column_stack(columns)
+    )
+    return f"{names}\n{body}\n"
+
+
+SUMS = {"Fx": ["Fx12", "Fx34"], "Fy": ["Fy14", 4], "Fz": [5, 6, 7, 8]}
+
+
+def test_the_channels_of_four_sensors_are_summed(tmp_path):
+    record = load(tmp_path, quarters(), channels=SUMS, rate=RATE)
+    np.testing.assert_allclose(record.force, FORCE, atol=1e-9)
+    assert record.names[:2] == ("Fx12 + Fx34", "Fy14 + Fy23")
+
+
+@pytest.mark.parametrize(
+    ("names", "channels", "message"),
+    [
+        ("Fx12_N,Fx34_kN,a,b,c,d,e,f", {}, "differ in their unit: Fx12 N, Fx34 kN"),
+        (None, {"Fx": ["Fx12", 1]}, "names one column twice"),
+        (None, {"Fx": ["Fx12", "Fx3"]}, "Fx = 'Fx3' names no columns"),
+        (None, {"time": ["Fx12", "Fx34"]}, "only those of a force are summed"),
+    ],
+)
+def test_sums_of_what_does_not_go_together_are_refused(
+    tmp_path, names, channels, message
+):
+    content = quarters() if names is None else quarters(names)
+    with pytest.raises(io.RecordError, match=message):
+        load(tmp_path, content, channels=SUMS | channels, rate=RATE)

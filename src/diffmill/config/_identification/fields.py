@@ -30,18 +30,28 @@ def _axes_or_proposed(value: object) -> object:
 
 
 def _channels(value: object) -> object:
-    """Return names or numbers of columns by quantity; "none" becomes None."""
+    """Return names or numbers of columns by quantity; "none" becomes None.
+
+    A list is the sum of its columns.
+    """
     if not isinstance(value, dict):
         raise ValueError(
             f"found {value!r}, but a table is required, such as "
             '{ time = "t", Fx = "Ch1", Fy = "Ch2", Fz = 4 }'
         )
-    found: dict[str, str | int | None] = {}
+    found: dict[str, str | int | list[str | int] | None] = {}
     for key, column in value.items():
-        if isinstance(column, bool) or not isinstance(column, str | int):
+        columns = column if isinstance(column, list) and column else [column]
+        is_sum = columns is column
+        if any(
+            isinstance(one, bool)
+            or not isinstance(one, str | int)
+            or (is_sum and one == "none")
+            for one in columns
+        ):
             raise ValueError(
                 f"found {column!r} for {key}, but the name of a column, its number "
-                'from 1, or "none" is required'
+                'from 1, "none", or a list of columns to be summed is required'
             )
         found[key] = None if column == "none" else column
     return found
@@ -69,7 +79,9 @@ def _cut_number(value: object) -> object:
 
 Axes = Annotated[list[str], BeforeValidator(_axes)]
 AxesOrProposed = Annotated[list[str] | str, BeforeValidator(_axes_or_proposed)]
-Channels = Annotated[dict[str, str | int | None], BeforeValidator(_channels)]
+Channels = Annotated[
+    dict[str, str | int | list[str | int] | None], BeforeValidator(_channels)
+]
 Span = Annotated[list[Time] | Literal["none"], BeforeValidator(_span)]
 CutNumber = Annotated[int | Literal["all"], BeforeValidator(_cut_number)]
 File = Annotated[StrictStr, Field(min_length=1)]

@@ -45,7 +45,8 @@ class MeasuredTable(TomlTable):
     channels: Channels | None = Field(
         default=None,
         description='columns by name or number, such as { time = "t", Fx = 3, Fz = '
-        '"none" }; those left out are found by their names',
+        '"none" }; those left out are found by their names, and a list is the sum of '
+        "several columns of a force",
     )
     units: dict[StrictStr, StrictStr] = Field(
         default_factory=dict,

@@ -55,8 +55,9 @@ def suggest_load_tests(
     along the axes of the base, are added one by one; each is the one that lowers the
     sum of squared relative errors of these joints most, if the next tests
     scatter like those of the table; by 5 % of the displacement if it has no more
-    numbers than unknowns. Joints without a number are taken to be as stiff as the robot
-    model says. Collisions are not looked at.
+    numbers than unknowns. No test is proposed twice: what a repetition averages out is
+    scatter alone, not what is wrong with one pose. Joints without a number are taken to
+    be as stiff as the robot model says. Collisions are not looked at.
 
     Args:
         robot: The robot, with its stiffness as far as it is known.
@@ -69,8 +70,14 @@ def suggest_load_tests(
         The tests.
 
     Raises:
-        ValueError: A table has a wrong shape, or the fit is not consistent.
+        ValueError: A table has a wrong shape, the fit is not consistent, or more tests
+            are asked for than there are candidates.
     """
+    if count > 3 * _POSES:
+        raise ValueError(
+            f"Argument `count` must be at most {3 * _POSES}, the number of candidates, "
+            f"but is {count}."
+        )
     if not fit.is_consistent:
         raise ValueError(
             "Argument `fit` must be consistent before further poses can help, but is "
@@ -102,6 +109,7 @@ def suggest_load_tests(
     for _ in range(count):
         inverse = np.linalg.inv(information[None] + gains)
         cost = np.einsum("pii,i->p", inverse, is_sought[is_kept].astype(float))
+        cost[chosen] = np.inf
         chosen.append(int(np.argmin(cost)))
         information = information + gains[chosen[-1]]
     added = offered[chosen].reshape(-1, seen.shape[2])

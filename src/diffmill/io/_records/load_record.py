@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .errors import RecordError
-from .reader import TableReader
+from .reader import Channel, TableReader
 from .record_columns import FORCES, OTHERS
 from .table import Column
 
@@ -21,7 +21,7 @@ _SAME_RATE = 0.01
 
 def load_record(
     path: str | os.PathLike[str],
-    channels: Mapping[str, str | int | None] | None = None,
+    channels: Mapping[str, Channel] | None = None,
     rate: float | None = None,
     units: Mapping[str, str] | None = None,
 ) -> "Record":
@@ -36,8 +36,9 @@ def load_record(
     Args:
         path: Path of the file.
         channels: Column of `time`, `Fx`, `Fy`, `Fz`, `tacho` or `angle`, by its name
-            in the file or its number from 1; None for no such column, or a force that
-            was not measured. What is not in it is looked for by name.
+            in the file or its number from 1; a list of them for a force that is the sum
+            of several; None for no such column, or a force that was not measured. What
+            is not in it is looked for by name.
         rate: Sampling rate [Hz], needed if neither a time column nor the header has it.
         units: Unit of `time`, `angle`, `Fx`, `Fy`, `Fz`, or `force` for all three,
             before what the file says; or what its number 1 stands for: "100 N" for
@@ -127,7 +128,7 @@ def _columns(reader: TableReader) -> _RecordColumns:
         reader.faults.append(
             f"found no column for {', '.join(missing)} among {reader.listed()}; "
             "name it with `channels`, where a force that was not measured is left out "
-            f'by {{ {missing[0]} = "none" }}.'
+            f'by {{ {missing[0]} = "none" }}, and the sum of several is a list.'
         )
     if not forces and not reader.faults:
         reader.faults.append(

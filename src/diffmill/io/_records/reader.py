@@ -2,17 +2,22 @@
 
 import pathlib
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ...units import ANGLE, TIME, QuantityKind
+from ...units import ANGLE, FORCE, TIME, QuantityKind
 from .errors import RecordError
 from .quantity import TIME_COLUMN, Quantity
 from .read_table import read_table
 from .table import Column, Table, given_scale, is_unit, scale, split_unit
 from .timeline import Timeline, timeline
+
+# Name or number (from 1) of a column, those of a force that is their sum, or None for
+# no such column.
+Channel: TypeAlias = str | int | Sequence[str | int] | None
 
 
 class TableReader:
@@ -22,7 +27,7 @@ class TableReader:
         name: The file.
         table: Its columns as written.
         channels: Names or numbers (from 1) of columns that the user gives by quantity,
-            None for no such column.
+            several for a force that is their sum, None for no such column.
         units: What a number stands for, as the user says, before what the file says.
         faults: What is wrong, told at once by `check`.
         notes: What was assumed.
@@ -35,7 +40,7 @@ class TableReader:
         self,
         name: str,
         table: Table,
-        channels: Mapping[str, str | int | None] | None = None,
+        channels: Mapping[str, Channel] | None = None,
         units: Mapping[str, str] | None = None,
     ):
         self.name, self.table = name, table
@@ -48,7 +53,7 @@ class TableReader:
         cls,
         file: pathlib.Path,
         name: str,
-        channels: Mapping[str, str | int | None] | None = None,
+        channels: Mapping[str, Channel] | None = None,
         units: Mapping[str, str] | None = None,
     ) -> "TableReader":
         """Return the table of a file.
@@ -112,7 +117,10 @@ class TableReader:
         """Return the column of a quantity as written, or None."""
         key = quantity.key
         if key in self.channels:
-            return self._named(key, self.channels[key])
+            label = self.channels[key]
+            if label is None or isinstance(label, str | int):
+                return self._named(key, label)
+            return self._sum(quantity, label)
         hits = [c for c in self.table.columns if _fits(c, quantity)]
         is_whole = bool(hits) or not quantity.loose
         if not is_whole:
@@ -190,6 +198,47 @@ class TableReader:
             if only is None or any(column is other for other in only)
         ]
         return ", ".join(shown[:20]) + (", ..." if len(shown) > 20 else "")
+
+    def _sum(self, quantity: Quantity, labels: Sequence[str | int]) -> Column | None:
+        """Return the sum of the columns that the user names, or None with a fault."""
+        key = quantity.key
+        if FORCE not in quantity.kinds:
+            self.faults.append(
+                f"the channel {key} = {list(labels)!r} names several columns; only "
+                "those of a force are summed."
+            )
+            return None
+        found = [self._named(key, label) for label in labels]
+        columns = [column for column in found if column is not None]
+        if len(columns) < len(labels):
+            return None
+        names = [column.name for column in columns]
+        if len({id(column) for column in columns}) < len(columns):
+            self.faults.append(
+                f"the channel {key} = {list(labels)!r} names one column twice."
+            )
+            return None
+        units = [self.unit_of(quantity, column) for column in columns]
+        for what, values in (
+            ("unit", [unit or "none" for unit in units]),
+            ("sampling rate", [column.rate for column in columns]),
+            ("number of samples", [column.values().size for column in columns]),
+        ):
+            if len(set(values)) > 1:
+                shown = ", ".join(
+                    f"{name} {value}" for name, value in zip(names, values, strict=True)
+                )
+                self.faults.append(
+                    f"the channel {key} = {list(labels)!r} sums columns that differ in "
+                    f"their {what}: {shown}."
+                )
+                return None
+        return Column(
+            " + ".join(names),
+            units[0],
+            lambda: np.sum([column.values() for column in columns], axis=0),
+            columns[0].rate,
+        )
 
     def _named(self, key: str, label: str | int | None) -> Column | None:
         """Return the column that the user names."""
