@@ -21,6 +21,14 @@ FOUND = {"method/mirror/command": np.zeros(3)}
 needs_locks = pytest.mark.skipif(os.name == "nt", reason="no file locks")
 
 
+@pytest.fixture(autouse=True)
+def obeyed_interrupts():
+    """Let SIGINT interrupt: what a shell starts in the background ignores it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 @pytest.fixture
 def job(tmp_path, monkeypatch):
     """A job in a folder of its own, which is the current one."""
