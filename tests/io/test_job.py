@@ -233,8 +233,9 @@ def test_speed_from_the_program(write):
 
 
 def test_note_on_a_coarse_spacing(write):
-    assert load_job(write()).notes == ()
-    (note,) = load_job(write(('"0.25 mm"', '"0.5 mm"'))).notes
+    (of_end,) = load_job(write()).notes
+    assert of_end.startswith("[force.bottom] is left out")
+    note, *_ = load_job(write(('"0.25 mm"', '"0.5 mm"'))).notes
     assert "spacing is 0.5 mm" in note
     assert "0.25 mm" in note
 
@@ -254,9 +255,10 @@ def test_a_spline_has_an_effect_where_the_tool_tilts(write):
 )
 def test_keys_of_the_output_without_effect_are_noted(write, idle, needed):
     output = lambda *lines: ("[robot]", "\n".join(["[output]", *lines, "[robot]"]))
-    (note,) = load_job(write(output(idle))).notes
+    note, _ = load_job(write(output(idle))).notes
     assert note.startswith(f"[output] {idle.split()[0]}: without effect")
-    assert load_job(write(output(idle, needed))).notes == ()
+    (of_end,) = load_job(write(output(idle, needed))).notes
+    assert of_end.startswith("[force.bottom]")
 
 
 def test_recorded_path(write, tmp_path):

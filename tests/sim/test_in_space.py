@@ -155,8 +155,7 @@ def test_uneven_teeth_in_a_narrow_cut_match_the_reference(is_up):
     radial = 0.2e-3
     low, high = (corner[1] for corner in CORNERS_OF_BLOCK)
     y = low - R + radial if is_up else high + R - radial
-    teeth = {"pitch": np.array([1.9, 2.1, 2 * math.pi - 4.0])}
-    mill = ct.flat_end_mill(2 * R, 3, **teeth)
+    mill = ct.flat_end_mill(2 * R, 3, pitch=np.array([1.9, 2.1, 2 * math.pi - 4.0]))
     found = steady(cut(line([-0.3e-3, y, -1e-3]), BLOCK, mill))
     wanted = marching.mean_force(
         tool("flat", tooth_angles=(0.0, 1.9, 4.0)),

@@ -554,16 +554,13 @@ def _simulation(
             f"{_MOST_DISCS} are allowed"
         )
     # A default below it has no effect on a job that is not corrected.
-    is_stated = (
-        tables.correction is not None
-        and "knot_spacing" in tables.correction.model_fields_set
-    )
-    if is_stated and tables.correction.knot_spacing < period:
-        problems.append(
-            f"[correction] knot_spacing: found "
-            f"{tables.correction.knot_spacing * 1e3:g} ms, but at least the tooth "
-            f"period, {period * 1e3:g} ms, is required"
-        )
+    knots = tables.correction
+    if knots is not None and "knot_spacing" in knots.model_fields_set:
+        if knots.knot_spacing < period:
+            problems.append(
+                f"[correction] knot_spacing: found {knots.knot_spacing * 1e3:g} ms, "
+                f"but at least the tooth period, {period * 1e3:g} ms, is required"
+            )
     if parts.modes is not None:
         check_held_force(fastest, period / substeps, context.notes)
     elif fastest > 0.0:
