@@ -379,8 +379,12 @@ def _deep_rows(solution: Solution) -> Int[np.ndarray, " row"]:
 
 
 def _process(job: Job) -> Process:
-    """Return the process of a job with the chip model "near_far"."""
-    settings = dataclasses.replace(job.simulation, chip="near_far")
+    """Return the process of a job with the chip model "near_far", edges along the side.
+
+    A bottom edge on a level floor has a chip on one side of a kink and none on the
+    other: its slope is that of no vibration, and the depth of the cut is held anyway.
+    """
+    settings = dataclasses.replace(job.simulation, chip="near_far", has_bottom=False)
     return job_process(dataclasses.replace(job, simulation=settings), StockHeld())
 
 
