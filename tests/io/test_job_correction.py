@@ -56,10 +56,10 @@ def test_what_a_job_leaves_out_is_what_scripts_leave_out(job_file):
     # This one is for programs: a script's command may be anything.
     plain = CorrectionSettings(acceleration_factor=2.0)
     assert dataclasses.replace(job.correction, uncertainty=None) == plain
-    # What has no default in the settings follows from the job.
+    # These follow from path, machine and cutter.
     own = job.simulation
     sizes = ("angles", "substeps", "element_height", "axial_depth", "looks")
-    of_job = {name: getattr(own, name) for name in (*sizes, "plunges")}
+    of_job = {name: getattr(own, name) for name in (*sizes, "plunges", "has_bottom")}
     assert own == SimulationSettings(**of_job)
     assert job.output == type(job.output)()
 

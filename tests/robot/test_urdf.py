@@ -167,6 +167,7 @@ SMALL = """<robot name="small">
         ('xyz="0 0 1"', 'xyz="0 0 nan"', "must be 3 finite numbers, but is '0 0 nan'"),
         ('xyz="0 0 1"', 'xyz="0 0 1_0"', "must be 3 finite numbers, but is '0 0 1_0'"),
         ('xyz="0 0 1"', 'xyz="0 0 0"', "axis: xyz must be not zero"),
+        ('xyz="0 0 1"', 'xyz="0 0 1e-300"', "axis: xyz must be not zero"),
         ('"revolute"', '"floating"', "type must be revolute, continuous, prismatic or"),
         ('"revolute"', '"planar"', "or fixed, but is 'planar'"),
         ('type="revolute"', "", "attribute type is missing or empty"),

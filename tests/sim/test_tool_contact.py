@@ -98,8 +98,10 @@ def test_a_leaning_rapid_beside_the_stock_is_seen_to_go_through_it():
     # Axis to edge: (8 - 5) / sqrt(2) mm, in a tool of 5 mm.
     wanted = 5e-3 - 3e-3 / np.sqrt(2)
     assert leaning.rapid_depth.max() == pytest.approx(wanted, abs=0.6 * SPACING)
-    # Where the path begins the tool is in stock that is gone.
-    assert (leaning.rapid_depth[3:] > 0).all() and leaning.rapid_depth[0] == 0
+    # The tool starts in the material, and what it stands in there is gone.
+    first, later = leaning.rapid_depth[0], leaning.rapid_depth[3:]
+    assert first == pytest.approx(wanted, abs=0.6 * SPACING)
+    assert leaning.rapid_depth[1] == 0 and (later > 0).all()
 
 
 def test_a_rapid_back_out_of_a_hole_cut_from_the_side_is_none_through_stock():

@@ -142,6 +142,12 @@ def not_finite():
     return trimesh.Trimesh(vertices, mesh.faces, process=False, validate=False)
 
 
+def far_away():
+    mesh = block([0, 0, 0], [4, 4, 4])
+    mesh.vertices[3] = 1e30
+    return mesh
+
+
 @pytest.mark.parametrize(
     ("make", "message"),
     [
@@ -151,12 +157,19 @@ def not_finite():
         (one_flipped, "3 edges whose two triangles face opposite sides"),
         (flat_sheet, "encloses no volume"),
         (not_finite, "not finite"),
+        (far_away, r"a vertex 1e\+27 m from the origin; at most 100 m are allowed"),
     ],
 )
 def test_a_mesh_that_bounds_no_solid_is_refused(tmp_path, make, message):
     file = export(make(), tmp_path / "bad.stl")
     with pytest.raises(wp.StockFileError, match=f"bad.stl: .*{message}"):
         wp.from_mesh(file, SPACING)
+
+
+def test_a_file_of_a_stock_that_takes_all_memory_is_named(tmp_path):
+    file = export(block([0, 0, 0], [4e3, 4e3, 4e3]), tmp_path / "large.stl")
+    with pytest.raises(wp.StockFileError, match=r"large.stl: A stock .* takes .* GB"):
+        wp.from_mesh(file, 1e-5)
 
 
 @pytest.mark.parametrize("make", [inverted_block, one_body_inverted])

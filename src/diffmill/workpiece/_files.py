@@ -17,7 +17,7 @@ import numpy as np
 from ._dexel.stock import Stock
 from ._dexel.stock_arrays import arrays_of_stock, check_headers, stock_of_arrays
 from ._mesh.from_mesh import stock_from_mesh
-from ._mesh.mesh import Mesh, mesh_fault, weld
+from ._mesh.mesh import Mesh, mesh_fault, vertex_fault, weld
 
 # Unit of the numbers in a mesh file.
 MeshUnit: TypeAlias = Literal["m", "cm", "mm", "um", "in"]
@@ -92,7 +92,7 @@ def load_mesh(path: str | os.PathLike[str], *, unit: MeshUnit = "mm") -> Mesh:
     if fault is None:
         exact = weld(Mesh(mesh.vertices * scale, mesh.faces))
         fault = mesh_fault(exact)
-        if fault is not None and len(exact.vertices):
+        if fault is not None and len(exact.vertices) and vertex_fault(exact) is None:
             size = float(np.ptp(exact.vertices, axis=0).max())
             mesh = weld(exact, _SAME_CORNER * size)
             joined = len(exact.vertices) - len(mesh.vertices)
@@ -143,9 +143,16 @@ def from_mesh(
         mesh = path_or_mesh
         if fault := _index_fault(mesh) or mesh_fault(mesh):
             raise ValueError(f"Argument `path_or_mesh` must bound a solid: {fault}.")
-    else:
-        mesh = load_mesh(path_or_mesh, unit=unit)
-    return stock_from_mesh(mesh, spacing, interval_counts=interval_counts, dtype=dtype)
+        return stock_from_mesh(
+            mesh, spacing, interval_counts=interval_counts, dtype=dtype
+        )
+    mesh = load_mesh(path_or_mesh, unit=unit)
+    try:
+        return stock_from_mesh(
+            mesh, spacing, interval_counts=interval_counts, dtype=dtype
+        )
+    except ValueError as error:
+        raise StockFileError(f"{os.fspath(path_or_mesh)}: {error}") from error
 
 
 def save(

@@ -23,6 +23,7 @@ from .._model.elements import (
     RobotDescription,
     Tool,
     inertia_fault,
+    is_direction,
     triangle_fault,
 )
 from .errors import raise_faults
@@ -168,7 +169,7 @@ def _read_joint(reader: ElementReader) -> Callable[[], list[AbstractElement]]:
     position = JOINT_QUANTITIES[kind]["position"]
     name = reader.text("name", allowed="a non-empty string", may_be_empty=False)
     axis, raw = (0.0, 0.0, 1.0), reader.take("axis", (0.0, 0.0, 1.0))
-    if is_list(raw) and len(raw) == 3 and are_numbers(raw) and any(raw):
+    if is_list(raw) and len(raw) == 3 and are_numbers(raw) and is_direction(raw):
         axis = tuple(map(float, raw))
     else:
         reader.fault("axis", "a list of 3 numbers that are not all 0", raw)

@@ -16,7 +16,13 @@ import numpy as np
 from jaxtyping import Float
 
 from .._algebra.rotations import rpy_matrix
-from .._model.elements import Mimic, RigidBody, inertia_fault, triangle_fault
+from .._model.elements import (
+    Mimic,
+    RigidBody,
+    inertia_fault,
+    is_direction,
+    triangle_fault,
+)
 from .urdf_xml import Node
 
 _MOVING = ("revolute", "continuous", "prismatic")
@@ -237,7 +243,7 @@ class UrdfParser:
         if max(map(abs, origin.position)) > _LONG:
             self.notes.append(f"{place}: the origin is {_FAR.format(origin.position)}")
         axis = self.numbers(node.first("axis"), "xyz", f"{place}, axis", _AXIS)
-        if kind in _MOVING and not any(axis):
+        if kind in _MOVING and not is_direction(axis):
             self.fault(f"{place}, axis", "xyz", "not zero", " ".join(map(str, axis)))
         lower, upper = self.limits(node, kind, place)
         self.numbers_if_there(node.first("dynamics"), ("damping", "friction"), place)

@@ -21,6 +21,9 @@ Vector3: TypeAlias = (
 )
 Matrix3: TypeAlias = Float[np.ndarray, "3 3"]
 
+# A vector that is not longer than this has no direction.
+_SHORTEST = 1e-9
+
 
 class AbstractElement(eqx.Module):
     """A part of the robot's structure; it continues from the frame before it."""
@@ -268,10 +271,15 @@ def check_vector(name: str, vector: Vector3) -> None:
         )
 
 
+def is_direction(vector: Vector3) -> bool:
+    """Return whether a vector is long enough to be divided by its length."""
+    return _SHORTEST < math.hypot(*map(float, vector)) < math.inf
+
+
 def check_joint(joint: RevoluteJoint | PrismaticJoint) -> None:
     """Raise unless a joint's numbers make sense."""
     check_vector("axis", joint.axis)
-    if not np.linalg.norm(np.asarray(joint.axis, float)) > 0.0:
+    if not is_direction(joint.axis):
         raise ValueError(f"Argument `axis` of {joint.name!r} must not be 0.")
     if not float(joint.stiffness) > 0.0:
         raise ValueError(

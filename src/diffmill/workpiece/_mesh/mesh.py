@@ -10,6 +10,8 @@ from .signed_distance import SignedDistance
 
 # A volume so small of the box around a mesh is none.
 _FLAT = 1e-9
+# Largest coordinate of a part [m]; what is further away has another unit.
+_FARTHEST = 100.0
 # A point so close to a triangle, in sizes of it, is on it.
 _IN_PLANE = 1e-6
 
@@ -133,15 +135,28 @@ def weld(mesh: Mesh, tolerance: float = 0.0) -> Mesh:
     return Mesh(vertices, faces[~is_flat])
 
 
+def vertex_fault(mesh: Mesh) -> str | None:
+    """Return what keeps vertices from being points of a part, or None."""
+    if not np.isfinite(mesh.vertices).all():
+        count = int((~np.isfinite(mesh.vertices)).any(axis=1).sum())
+        return f"found {count} vertices that are not finite"
+    farthest = float(np.abs(mesh.vertices).max(initial=0.0))
+    if farthest > _FARTHEST:
+        return (
+            f"found a vertex {farthest:g} m from the origin; at most {_FARTHEST:g} m "
+            "are allowed"
+        )
+    return None
+
+
 def mesh_fault(mesh: Mesh) -> str | None:
     """Return what keeps a welded mesh from bounding a solid, or None.
 
     Args:
         mesh: A mesh whose equal vertices are one.
     """
-    if not np.isfinite(mesh.vertices).all():
-        count = int((~np.isfinite(mesh.vertices)).any(axis=1).sum())
-        return f"found {count} vertices that are not finite"
+    if fault := vertex_fault(mesh):
+        return fault
     if not len(mesh.faces):
         return "found no triangles"
     if flipped := mesh.flipped_edge_count():
