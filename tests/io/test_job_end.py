@@ -29,7 +29,6 @@ spacing = "0.25 mm"
 [program]
 file = "ramp.ngc"
 [simulation]
-stability = false
 SIMULATION
 """
 RIGID = "[robot]\nrigid = true\n"
@@ -50,7 +49,8 @@ LEVEL = "G21 G90 G94\nG0 X-4 Y4 Z1\nG0 Z-0.6\nG1 X12 F3000\nM2\n"
 def load(tmp_path):
     """Return a job of a machine, with lines for its cutter and its simulation."""
 
-    def load(machine, cutter="", simulation="", program=RAMP):
+    def load(machine, cutter="", simulation="", program=RAMP, stability="false"):
+        simulation = f"stability = {stability}\n{simulation}"
         text = JOB.replace("CUTTER", cutter).replace("SIMULATION", simulation)
         (tmp_path / "job.toml").write_text(text + machine)
         (tmp_path / "ramp.ngc").write_text(program)
@@ -109,6 +109,19 @@ def test_whether_the_end_cuts_if_it_is_left_open(
     assert any("[force.bottom]" in note for note in job.notes) == has_bottom
     is_pressed = has_bottom and machine == MODES and cutter == ""
     assert any("dish_angle is 0" in note for note in job.notes) == is_pressed
+
+
+@pytest.mark.parametrize(
+    ("machine", "stability", "is_told"),
+    [(MODES, '"quick"', True), (MODES, "false", False), (RIGID, '"quick"', False)],
+)
+def test_chatter_of_the_end_is_not_judged_which_is_told(
+    load, machine, stability, is_told
+):
+    job = load(machine, HOLLOW, stability=stability)
+    assert any("the end of the cutter chatters" in x for x in job.notes) == is_told
+    level = load(machine, HOLLOW, program=LEVEL, stability=stability)
+    assert not any("the end of the cutter chatters" in x for x in level.notes)
 
 
 @pytest.mark.slow

@@ -52,11 +52,10 @@ def end_notes(
             f"{reason}: what the end of the cutter pushes where it goes ahead in "
             "material is left out, and its size is not known",
         )
-    law = job.law.for_bottom() if job.bottom_law is None else job.bottom_law
-    found = end_force(job.path, job.stock, cutter, law)
-    largest = found.force.max()
-    if largest < _LEAST_FORCE:
+    found = end_force(job.path, job.stock, cutter, _law_of_end(job))
+    if not found.descends:
         return ()
+    largest = found.force.max()
     counts = found.force > _TELLING * largest
     mean = found.force[counts].mean()
     line = (
@@ -88,7 +87,27 @@ def _assumed(job: Job) -> tuple[str, ...]:
             "floor, so that forces of a level cut rise within micrometres; the ends of "
             "most cutters are ground hollow"
         )
+    settings = job.simulation
+    looks = settings.stability != "none" and settings.mode == "dynamic"
+    if looks and not job.is_rigid and _descends(job):
+        notes.append(
+            "[simulation] stability: chatter is judged by the edges along the side; "
+            "whether the end of the cutter chatters where it plunges or ramps is not"
+        )
     return tuple(notes)
+
+
+def _law_of_end(job: Job) -> "AbstractForceLaw":
+    """Return the force law of the bottom edges of a job."""
+    return job.law.for_bottom() if job.bottom_law is None else job.bottom_law
+
+
+def _descends(job: Job) -> bool:
+    """Return whether the end of a cutter goes ahead in material, or may."""
+    if not job.path.is_upright:
+        return True
+    found = end_force(job.path, job.stock, job.cutter, _law_of_end(job))
+    return found.descends
 
 
 def _softness(
@@ -112,11 +131,13 @@ class EndForce(NamedTuple):
         force: Along the axis, 0 where the end does not cut [N], shape (pose,).
         rows: Rows of the path at which the poses are, shape (pose,).
         period: Time between two poses [s].
+        descends: Whether a pose below the one before it takes a force worth a note.
     """
 
     force: Float[np.ndarray, " pose"]
     rows: np.ndarray
     period: float
+    descends: bool
 
 
 def end_force(
@@ -183,4 +204,7 @@ def end_force(
         width = np.concatenate(shares) * cutter.flute_count / (2 * math.pi)
         np.add.at(force, pose, width * np.asarray(F_r))
     period = float(path.time[-1] - path.time[0]) / (path.step_count - 1)
-    return EndForce(force, rows, stride * period)
+    # On the level the width of the columns leaves a little to the end.
+    falls = np.diff(tips[:, 2], prepend=tips[0, 2]) < -_LEAST_LAYER
+    descends = bool((force[falls] >= _LEAST_FORCE).any())
+    return EndForce(force, rows, stride * period, descends)
