@@ -3,7 +3,6 @@
 import dataclasses
 import time
 
-import jax.numpy as jnp
 import numpy as np
 
 import diffmill as dm
@@ -32,41 +31,7 @@ def measure(report: Report) -> None:
         "corrected over inverse drive", rms["corrected"] / rms["inverse_drive"], 1.0, ""
     )
     report.figure("whole correction", total, 300.0, "s")
-    _wrong_models(report, job, correction)
     _trade_off(report, job, correction)
-
-
-def _wrong_models(report: Report, job: dm.Job, correction: dm.Correction) -> None:
-    """Show what the corrected command leaves where the model is not the machine.
-
-    The cloud of points knows no bottom edges, so its command is one without them.
-    """
-    job = job.with_precision()
-    command = correction.commanded
-    settings = dataclasses.replace(job.simulation, has_bottom=False)
-    plain = dataclasses.replace(job, simulation=settings)
-    settings = dataclasses.replace(settings, chip="point_cloud", looks=1)
-    cloud = dataclasses.replace(job, simulation=settings)
-    cases = [
-        (f"{name} {factor - 1:+.0%}", _scaled(job, start, factor), command)
-        for name, start in (("stiffness of all joints", "K "), ("K_tc", "K_tc"))
-        for factor in (0.9, 1.1)
-    ]
-    cases.append(("chip of the paper", cloud, dm.correct(plain).commanded))
-    report.say()
-    report.say("What the corrected command leaves on another machine [um]")
-    report.say(f"  {'machine':32}{'rms':>8}{'95 %':>8}{'max':>8}")
-    for name, other, commanded in cases:
-        found = dm.simulate(other, commanded=commanded)
-        error = 1e6 * np.abs(found.contour_error)[np.asarray(found.is_cutting)]
-        rms, p95 = np.sqrt(np.mean(error**2)), np.percentile(error, 95)
-        report.say(f"  {name:32}{rms:8.2f}{p95:8.2f}{error.max():8.1f}")
-
-
-def _scaled(job: dm.Job, start: str, factor: float) -> dm.Job:
-    """Return the job with another size of the parameters whose names begin so."""
-    is_changed = [name.startswith(start) for name in job.parameter_names]
-    return job.with_scaled(jnp.where(np.array(is_changed), np.log(factor), 0.0))
 
 
 def _table(report: Report, correction: dm.Correction, total: float) -> None:

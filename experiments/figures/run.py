@@ -19,6 +19,7 @@ GROUPS = (
     "integrator",
     "speed",
     "paper",
+    "machines",
 )
 
 
