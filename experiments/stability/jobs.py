@@ -1,4 +1,4 @@
-"""Ten cuts, half of them unstable, on a machine of two modes and on an arm."""
+"""Ten cuts, half of them unstable, and cuts drawn by chance."""
 
 import dataclasses
 import pathlib
@@ -8,20 +8,22 @@ import numpy as np
 
 import diffmill as dm
 
-# Two modes as soft and as slow as those of an arm.
+# A mode in x and one in y.
 MODES = """
 [machine]
 [[machine.modes]]
-frequency = "60 Hz"
-damping_ratio = 0.04
+frequency = "{0[0]:.4g} Hz"
+damping_ratio = {2[0]:.4g}
 direction = [1, 0, 0]
-stiffness = "1.2 N/um"
+stiffness = "{1[0]:.4g} N/um"
 [[machine.modes]]
-frequency = "75 Hz"
-damping_ratio = 0.04
+frequency = "{0[1]:.4g} Hz"
+damping_ratio = {2[1]:.4g}
 direction = [0, 1, 0]
-stiffness = "1.3 N/um"
+stiffness = "{1[1]:.4g} N/um"
 """
+# As soft and as slow as those of an arm.
+ARM_LIKE = MODES.format((60, 75), (1.2, 1.3), (0.04, 0.04))
 JOB = """
 [cutter]
 kind = "flat"
@@ -30,7 +32,7 @@ teeth = 2
 flute_length = "22 mm"
 {pitch}
 [spindle]
-speed = "8000 rpm"
+speed = "{speed:.5g} rpm"
 [force]
 K_tc = "989.8 N/mm^2"
 K_rc = "337.3 N/mm^2"
@@ -64,6 +66,8 @@ class Cut(NamedTuple):
         box: Least and largest x and y of the tip where the march is judged [mm].
         pitch: Line of the cutter's pitch.
         damping: Of the example, times what it states.
+        machine: Tables of the machine.
+        speed: Of the spindle [rpm].
     """
 
     name: str
@@ -72,6 +76,8 @@ class Cut(NamedTuple):
     box: tuple[float, float, float, float]
     pitch: str = ""
     damping: float = 1.0
+    machine: str = ARM_LIKE
+    speed: float = 8000.0
 
     def job(self, folder: pathlib.Path) -> dm.Job:
         """Return the job, written to a folder."""
@@ -83,7 +89,7 @@ class Cut(NamedTuple):
             return dataclasses.replace(job, robot=robot)
         lines = self.lines.format(z=-self.depth, z2=-2 * self.depth)
         (folder / "part.ngc").write_text(f"G21 G17 G90 G94\n{lines}\nM2\n")
-        text = JOB.format(machine=MODES, pitch=self.pitch)
+        text = JOB.format(machine=self.machine, pitch=self.pitch, speed=self.speed)
         (folder / "job.toml").write_text(text)
         return dm.load_job(folder / "job.toml")
 
@@ -120,3 +126,31 @@ CUTS = (
     Cut("paper, damping of the robot's file", None, 1.0, LEFT, damping=0.4),
     Cut("uneven teeth, slot, 0.55 mm", SLOT, 0.55, ALONG, pitch=UNEVEN),
 )
+
+
+def drawn(count: int, seed: int) -> tuple[Cut, ...]:
+    """Return cuts of drawn kinds and depths, each on a drawn machine.
+
+    Args:
+        count: How many.
+        seed: Of the draws.
+    """
+    rng = np.random.default_rng(seed)
+    kinds = (
+        ("slot", SLOT, ALONG),
+        ("slot along y", SLOT_IN_Y, IN_Y),
+        ("down-milling", DOWN, ALONG),
+        ("corners and stops", CORNERS, LEG),
+    )
+    cuts = []
+    for number in range(count):
+        kind, lines, box = kinds[rng.integers(len(kinds))]
+        modes = MODES.format(
+            rng.uniform(40, 120, 2),
+            rng.uniform(0.8, 2.5, 2),
+            rng.uniform(0.02, 0.06, 2),
+        )
+        depth, speed = rng.uniform(0.15, 0.6), rng.uniform(6000, 10000)
+        name = f"{number}: {kind}, {depth:.2f} mm"
+        cuts.append(Cut(name, lines, depth, box, machine=modes, speed=speed))
+    return tuple(cuts)

@@ -1,8 +1,10 @@
 """The verdict on chatter beside marches in time: ten cuts, half of them unstable.
 
 Run from the root of the repository: python experiments/stability/run.py
+Drawn cuts on drawn machines: the same with --draws 10 --seed 1
 """
 
+import argparse
 import dataclasses
 import pathlib
 import sys
@@ -18,7 +20,7 @@ HERE = pathlib.Path(__file__).parent
 sys.path.append(str(HERE.parent / "common"))
 
 import diffmill as dm  # noqa: E402
-from jobs import CUTS, Cut  # noqa: E402
+from jobs import CUTS, Cut, drawn  # noqa: E402
 from reporting import Report, store  # noqa: E402
 
 # Kick of the command in x and y in one row [m]: smaller than the vibrations that
@@ -65,6 +67,11 @@ def march(
 
 def main() -> None:
     """Print one line for each cut, and the cost of the check."""
+    parser = argparse.ArgumentParser(description=__doc__, allow_abbrev=False)
+    parser.add_argument("--draws", type=int, help="so many drawn cuts instead")
+    parser.add_argument("--seed", type=int, default=0, help="of the draws")
+    asked = parser.parse_args()
+    cuts = CUTS if asked.draws is None else drawn(asked.draws, asked.seed)
     report = Report("diffmill stability: the default check beside marches in time")
     report.say("growth per tooth period in the steady cut, and the largest in all")
     report.say(
@@ -72,9 +79,10 @@ def main() -> None:
         f"{'march':>9}  {'verdict':9}{'march':9}{'time [s]':>9}"
     )
     with tempfile.TemporaryDirectory() as folder:
-        for cut in CUTS:
+        for cut in cuts:
             _line(report, cut, pathlib.Path(folder))
-    store(report, HERE / "results", "stability")
+    name = "stability" if asked.draws is None else f"drawn_{asked.seed}"
+    store(report, HERE / "results", name)
 
 
 def _line(report: Report, cut: Cut, folder: pathlib.Path) -> None:
