@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ...identification import Diagnosis
+from ...identification import Diagnosis, ForceRecord
 from .report import noted
 
 
@@ -34,6 +34,21 @@ def diagnosis_facts(diagnoses: Sequence[Diagnosis]) -> list[dict[str, object]]:
     return [
         {"code": d.code, "record": d.record, "values_SI": dict(d.values)}
         for d in diagnoses
+    ]
+
+
+def tare_facts(records: Sequence[ForceRecord]) -> list[dict[str, object] | None]:
+    """Return offset, drift and noise of records for `identified.json`."""
+    return [
+        None
+        if one.tare is None
+        else {
+            "time_s": one.tare.instant,
+            "offset_N": one.tare.offset,
+            "drift_N_per_s": one.tare.drift,
+            "noise_N": one.tare.noise,
+        }
+        for one in records
     ]
 
 

@@ -15,7 +15,7 @@ from ...viz import (
     plot_prediction,
     plot_residual_spectrum,
 )
-from .diagnoses import diagnosis_facts, diagnosis_lines
+from .diagnoses import diagnosis_facts, diagnosis_lines, tare_facts
 from .registration import axes_lines, record_lines, tooth_lines
 from .report import Report, all_noted, noted
 from .text import coefficient_lines, correlation_lines
@@ -85,6 +85,7 @@ def _facts(study: ForceRecordStudy, found: ForceRecordStudy.Fit) -> dict[str, An
     return {
         "kind": "force_records",
         "records": [record.name for record in study.records],
+        "tare": tare_facts(study.records),
         "coefficients_SI": fit.coefficients,
         "standard_errors_SI": fit.standard_errors,
         "raw_SI": fit.raw,

@@ -12,6 +12,7 @@ from ...identification import (
     RecordRegistration,
 )
 from .diagnoses import diagnosis_lines
+from .reading import tare_lines
 from .report import all_noted, noted
 from .text import axes_text, force_on_text
 
@@ -68,6 +69,7 @@ def record_lines(
             f"{record.name}: {known} samples used, at {record.record.rate:g} Hz from "
             f"{record.start:.4g} to {record.stop:.4g} s, {rpm:.6g} rpm"
         )
+        lines += tare_lines(record)
         lines += all_noted([x for x in (*record.notes, *one.notes) if x not in shared])
         lines += diagnosis_lines(one.diagnoses)
         if record.is_saturated:

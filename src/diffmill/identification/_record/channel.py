@@ -35,7 +35,8 @@ class Tare(NamedTuple):
         instant: Instant of the offset [s].
         offset: Mean force at the instant [N], shape (3,).
         drift: Slope of the force [N/s], shape (3,); zero where one section is known.
-        noise: Standard deviation of the force in the sections [N], shape (3,).
+        noise: Standard deviation of the force in the sections, about a line over time
+            [N], shape (3,).
     """
 
     instant: float

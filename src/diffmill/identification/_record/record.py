@@ -31,7 +31,8 @@ class _Level(NamedTuple):
     Attributes:
         time: Mean instant [s].
         force: Mean force [N], shape (axis,).
-        noise: Standard deviation of the force [N], shape (axis,).
+        noise: Standard deviation of the force about a line over time [N], shape
+            (axis,).
     """
 
     time: float
@@ -278,5 +279,10 @@ class Record(eqx.Module):
         limit = _GROSS / 0.67 * np.median(off, axis=0)
         is_good = (off <= limit[None]) | (limit[None] == 0)
         level = np.mean(part.force, axis=0, where=is_good)
-        noise = np.std(part.force, axis=0, where=is_good)
+        # About a line: a drift within the section is no noise.
+        late = (part.time - part.time.mean())[:, None] * is_good
+        late = late - late.mean(axis=0, where=is_good)[None] * is_good
+        slope = np.sum(late * part.force, axis=0) / np.sum(late**2, axis=0)
+        off = part.force - level[None] - slope[None] * late
+        noise = np.sqrt(np.mean(off**2, axis=0, where=is_good))
         return _Level(float(part.time.mean()), level, noise)
