@@ -21,7 +21,7 @@ from diffmill import (
 )
 from diffmill.cli import main
 from diffmill.cutting import KienzleLaw, LinearEdgeLaw
-from diffmill.units import FREQUENCY, LINEAR_STIFFNESS, quantity
+from diffmill.units import FREQUENCY, LENGTH, LINEAR_STIFFNESS, quantity
 
 MEANS = """kind = "mean_forces"
 [cutter]
@@ -104,10 +104,27 @@ def test_means_are_fitted_and_axes_are_proposed_not_changed(folder, capsys):
         error = facts["coefficients_SI"][name] - value
         assert abs(error) < 4 * facts["standard_errors_SI"][name]
     assert toml["force"]["K_tc"].endswith("N/mm^2")
+    check_digits(toml["force"], facts, out)
     assert 0 < toml["correction"]["uncertainty"]["force"] < 0.05
     assert {"mean_forces.png", "correlation.png", "summary.txt"} <= {
         p.name for p in out.iterdir()
     }
+
+
+def check_digits(force, facts, out):
+    """Check that coefficients have as many digits as their standard errors allow."""
+    text = (out / "identified.toml").read_text()
+    for name, given in force.items():
+        number, unit = given.split()
+        scale = 1e-6 if unit == "N/mm^2" else 1e-3
+        error = scale * facts["standard_errors_SI"][name]
+        decimals = len(number.partition(".")[2])
+        # Two digits of the error, and no more.
+        assert decimals == max(0, 1 - int(f"{error:.1e}".partition("e")[2]))
+        rounded = round(scale * facts["coefficients_SI"][name], decimals)
+        assert float(number) == pytest.approx(rounded, abs=1.1 * 10**-decimals)
+        (line,) = [x for x in text.splitlines() if x.startswith(f"{name} = ")]
+        assert float(line.split("+- ")[1]) == pytest.approx(error, rel=0.06)
 
 
 def test_forces_on_the_workpiece_are_reversed_and_said(folder, capsys):
@@ -457,7 +474,9 @@ def test_a_coupled_fit_is_told_and_drawn_beside_its_record(tmp_path, identified)
     found = tomllib.loads(text)["force"]
     assert set(found) == set(LinearEdgeLaw.NAMES)
     tc, te = (float(found[name].split()[0]) for name in ("K_tc", "K_te"))
-    assert tc == pytest.approx(1.1e-6 * law["K_tc"], rel=1e-5)
+    # The fitted has two digits of its error of 1 %; the job's has its own.
+    assert tc == pytest.approx(1.1e-6 * law["K_tc"], rel=6e-4)
+    assert len(found["K_tc"].split()[0].replace(".", "")) <= 4
     assert te == pytest.approx(1e-3 * law["K_te"], rel=1e-5)
     assert text.count("# as in the job") == 3
     figures = {file.stem for file in out.glob("*.png")}
@@ -730,6 +749,33 @@ def test_check_tells_what_was_read_of_arm_and_cut(tmp_path, capsys):
     said = capsys.readouterr().out
     assert "80 rows from 0 to " in said
     assert "Fx    column `Fx` [N]: -" in said
+
+
+@pytest.mark.slow
+def test_runout_is_named_then_fitted_and_written_as_keys(folder, capsys):
+    text = write_tared(folder, runout=8e-6)
+    assert main(["identify", "slot.toml"]) == 0
+    printed = capsys.readouterr().out
+    np.testing.assert_allclose(numbers_behind(printed, "noise where"), 1, atol=0.1)
+    np.testing.assert_allclose(numbers_behind(printed, "drift taken"), DRIFT, atol=1)
+    said = " ".join(printed.split())
+    assert "a line at the spindle's frequency, 100 Hz, of amplitude Fx 3" in said
+    assert 'Fit the run-out by refine = ["runout"] in [fit].' in said
+    _, facts, toml = results(folder, "slot")
+    (line,) = facts["diagnoses"]
+    assert line["code"] == "spindle_line" and "cutter" not in toml
+    assert facts["tare"][0]["drift_N_per_s"] == pytest.approx(DRIFT, abs=1)
+    (folder / "more.toml").write_text(text + '[fit]\nrefine = ["runout"]\n')
+    assert main(["identify", "more.toml"]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "spindle's frequency" not in said
+    out, facts, toml = results(folder, "more")
+    runout = quantity(toml["cutter"]["runout"], LENGTH)
+    assert runout == pytest.approx(8e-6, rel=0.05)
+    assert toml["cutter"]["runout_angle"] in ("0 deg", "180 deg", "-180 deg")
+    assert "runout_y is not identifiable" in (out / "identified.toml").read_text()
+    assert 'runout_angle = "' in said and facts["diagnoses"] == []
+    check_digits(toml["force"], facts, out)
 
 
 @pytest.mark.slow

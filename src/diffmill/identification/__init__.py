@@ -44,7 +44,6 @@ from ._modal.ring_down import (
     fit_joint_damping as fit_joint_damping,
     fit_ring_down as fit_ring_down,
 )
-from ._record.channel import MeasuredChannel as MeasuredChannel, Tare as Tare
 from ._record.cut_detection import CutSpan as CutSpan
 from ._record.diagnosis import Diagnosis as Diagnosis
 from ._record.record import Record as Record

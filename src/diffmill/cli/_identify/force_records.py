@@ -19,7 +19,7 @@ from .diagnoses import diagnosis_facts, diagnosis_lines, tare_facts
 from .registration import axes_lines, record_lines, tooth_lines
 from .report import Report, all_noted, noted
 from .text import coefficient_lines, correlation_lines
-from .toml_snippets import NOISE_ALONE, fitted_force_toml
+from .toml_snippets import NOISE_ALONE, cutter_toml, fitted_force_toml
 
 
 def report_records(study: ForceRecordStudy, found: ForceRecordStudy.Fit) -> Report:
@@ -39,10 +39,12 @@ def report_records(study: ForceRecordStudy, found: ForceRecordStudy.Fit) -> Repo
         *tooth_lines(
             records,
             [one.shift for one in fit.records],
+            fit.time_shift_errors,
             [one.revolution for one in fit.records],
         ),
     ]
-    toml = fitted_force_toml(found, [one.partition(":")[0] for one in fit.doubts])
+    doubts = [one.partition(":")[0] for one in fit.doubts]
+    toml = fitted_force_toml(found, doubts, cutter_toml(found))
     return Report(lines, toml, _facts(study, found), _figures(study, found))
 
 

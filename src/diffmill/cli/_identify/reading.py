@@ -15,8 +15,8 @@ from ...identification import (
     FrequencyResponse,
     LoadTestStudy,
     MeanForceStudy,
-    MeasuredChannel,
     ModeStudy,
+    Record,
     RingDown,
 )
 
@@ -57,7 +57,7 @@ def study_lines(study: "Study") -> list[str]:
     assert_never(study)
 
 
-def channel_lines(channels: Sequence[MeasuredChannel]) -> list[str]:
+def channel_lines(channels: Sequence[Record.Channel]) -> list[str]:
     """Return columns with their units and ranges, one a line.
 
     Args:

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...identification import CoupledStudy, MeasuredChannel
+from ...identification import CoupledStudy, Record
 from ...io import Quantity, TableReader
 from ...units import FORCE, LENGTH
 from .context import Context
@@ -23,7 +23,7 @@ class _Columns(NamedTuple):
     force: np.ndarray | None
     deviation: np.ndarray | None
     notes: tuple[str, ...]
-    channels: tuple[MeasuredChannel, ...]
+    channels: tuple[Record.Channel, ...]
 
 
 def read_coupled(

@@ -8,7 +8,6 @@ from ...identification import (
     CutSpan,
     Record,
     StraightCut,
-    Tare,
 )
 from .schema import RecordTable
 
@@ -96,7 +95,7 @@ def tare_of(
     span: CutSpan,
     tooth: float,
     notes: list[str],
-) -> Tare | None:
+) -> Record.Tare | None:
     """Return offset and drift of the record, None if none are removed; note why.
 
     Raises:

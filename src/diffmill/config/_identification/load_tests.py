@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ... import units as q
-from ...identification import LoadTestStudy, MeasuredChannel
+from ...identification import LoadTestStudy, Record
 from ...io import Quantity, TableReader
 from ...robot import Robot, forward_kinematics
 from .context import Context
@@ -29,7 +29,7 @@ class _Tests(NamedTuple):
     load: np.ndarray
     moved: np.ndarray
     notes: list[str]
-    channels: tuple[MeasuredChannel, ...]
+    channels: tuple[Record.Channel, ...]
 
 
 def read_load_tests(

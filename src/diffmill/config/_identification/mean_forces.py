@@ -8,7 +8,7 @@ from ...identification import (
     ForceRecord,
     ForceSettings,
     MeanForceStudy,
-    MeasuredChannel,
+    Record,
     StraightCut,
 )
 from ...io import Quantity, RecordError, TableReader
@@ -37,7 +37,7 @@ class _Means(NamedTuple):
     force: np.ndarray
     records: tuple[ForceRecord, ...] = ()
     notes: tuple[str, ...] = ()
-    channels: tuple[MeasuredChannel, ...] = ()
+    channels: tuple[Record.Channel, ...] = ()
 
 
 def mean_force_task(

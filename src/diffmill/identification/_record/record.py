@@ -61,6 +61,8 @@ class Record(eqx.Module):
         notes: What was assumed or repaired when reading, one sentence each.
         source: The file, or where else the record comes from.
         channels: The columns that the record was read from; none if it was not read.
+        Channel: A column of a file, and what it was read as.
+        Tare: Offset, drift and noise by sections without a cut.
 
     Raises:
         ValueError: If shapes disagree, fewer than 2 samples are given, a force is not
@@ -80,6 +82,8 @@ class Record(eqx.Module):
     notes: tuple[str, ...] = eqx.field(static=True, default=())
     source: str = eqx.field(static=True, default="")
     channels: tuple[MeasuredChannel, ...] = eqx.field(static=True, default=())
+    Channel = MeasuredChannel
+    Tare = Tare
 
     def __check_init__(self) -> None:
         """Refuse arrays that make no record."""

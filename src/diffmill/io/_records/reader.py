@@ -25,7 +25,7 @@ from .table import (
 from .timeline import Timeline, timeline
 
 if TYPE_CHECKING:
-    from ...identification import MeasuredChannel
+    from ...identification import Record
 
 # Name or number (from 1) of a column, those of a force that is their sum, or None for
 # no such column.
@@ -60,7 +60,7 @@ class TableReader:
         self.channels, self.units = dict(channels or {}), dict(units or {})
         self.faults: list[str] = []
         self.notes: list[str] = list(table.notes)
-        self.read: list[MeasuredChannel] = []
+        self.read: list[Record.Channel] = []
 
     @classmethod
     def of_file(
@@ -229,11 +229,11 @@ class TableReader:
     ) -> Float[np.ndarray, " row"]:
         """Return the numbers of a column, which is noted as read."""
         # It takes a third of a second to import, which a job does not need.
-        from ...identification import MeasuredChannel
+        from ...identification import Record
 
         known = values[np.isfinite(values)]
         self.read.append(
-            MeasuredChannel(
+            Record.Channel(
                 quantity.key,
                 column.name,
                 self.unit_of(quantity, column),
