@@ -369,6 +369,23 @@ def test_an_offset_and_a_drift_are_told():
     assert (values["x"], values["y"]) == pytest.approx(tuple(slope[:2]), rel=0.1)
 
 
+def test_a_line_at_the_frequency_of_the_spindle_tells_of_runout():
+    _, force = record(FEEDS[1], runout=5e-6)
+    values = told(force)["spindle_line"]
+    assert values["frequency"] == pytest.approx(100) and not values["is_fitted"]
+    time, alike = record(FEEDS[1], noise=0.0)
+    off = record(FEEDS[1], noise=0.0, runout=5e-6)[1] - alike
+    turns = time < time[0] + 0.01 * math.floor((time[-1] - time[0]) / 0.01)
+    wave = np.exp(-2j * math.pi * 100 * time[turns])
+    expected = 2 * np.abs(wave @ off[turns]) / turns.sum()
+    found = [values[axis] for axis in "xyz"]
+    np.testing.assert_allclose(found, expected, atol=0.05 * expected.max())
+    # Beside the spindle's frequency, and at that of the teeth, no run-out is blamed.
+    for frequency in (130, 200):
+        force = alike + 8 * np.sin(2 * math.pi * frequency * time)[:, None]
+        assert "spindle_line" not in told(force)
+
+
 def test_the_spectrum_of_the_residual_shows_what_the_model_has_not():
     cut, time, seen = both(noise=0.01)
     seen[0][:, 1] += 8 * np.sin(2 * math.pi * 730 * time[0])

@@ -50,10 +50,25 @@ def test_offset_and_drift_come_off_exactly():
     np.testing.assert_allclose(straight.force, force, atol=1e-10)
     level = record_of(time, force + LEVEL[None]).without_offset(slice(0.0, 0.09))
     np.testing.assert_allclose(level.force, force, atol=1e-10)
+    tare = record.tare(slice(0.0, 0.09), slice(0.31, 0.4))
+    np.testing.assert_allclose(tare.offset, LEVEL + slope * tare.instant)
+    np.testing.assert_allclose(tare.drift, slope, atol=1e-9)
+    np.testing.assert_allclose(tare.noise, 0, atol=1e-9)
     with pytest.raises(ValueError, match="5 s to 6 s"):
         record.without_offset(slice(5.0, 6.0))
     with pytest.raises(ValueError, match="`before` and `after`"):
         record.without_drift(slice(0.0, 0.1), slice(0.0, 0.1))
+
+
+def test_the_noise_of_a_tare_is_that_about_its_drift():
+    time = np.arange(2000) / RATE
+    noise = np.array([0.5, 2.0, 0.0])
+    force = LEVEL[None] + np.array([300.0, -40.0, 5.0])[None] * time[:, None]
+    force += noise[None] * np.random.default_rng(0).normal(size=force.shape)
+    # Gross errors are no noise.
+    force[[50, 300]] += 1e3
+    tare = record_of(time, force).tare(slice(0.0, 0.2))
+    np.testing.assert_allclose(tare.noise, noise, rtol=0.06, atol=1e-9)
 
 
 @pytest.mark.parametrize("tooth_frequency", [None, 100.0])

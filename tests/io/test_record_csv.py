@@ -125,6 +125,58 @@ def test_amplifiers_need_to_say_what_they_stand_for(tmp_path, unit):
     np.testing.assert_allclose(record.force, 100 * FORCE)
 
 
+@pytest.mark.parametrize(
+    ("unit", "sensitivity", "factor"),
+    [
+        ("V", "100 N/V", 100.0),
+        ("mV", "100 N/V", 0.1),
+        ("mV", "10 mV/N", 0.1),
+        ("pC", "4 pC/N", 0.25),
+        ("nC", "pC/N", 1e3),
+        ("pC", "0.25 kN/nC", 0.25),
+        ("", "4 pC/N", 0.25),
+    ],
+)
+def test_a_column_of_an_amplifier_takes_its_sensitivity(
+    tmp_path, unit, sensitivity, factor
+):
+    names = ",".join(f"F{axis} [{unit}]" if unit else f"F{axis}" for axis in "xyz")
+    content = f"time_s,{names}\n" + "\n".join(rows())
+    record = load(tmp_path, content, units={"force": sensitivity})
+    np.testing.assert_allclose(record.force, factor * FORCE)
+    force = record.channels[1]
+    assert (force.quantity, force.column, force.unit) == ("Fx", "Fx", sensitivity)
+    assert force.highest == pytest.approx(factor * FORCE[:, 0].max())
+    is_assumed = any("electric unit of its sensitivity" in x for x in record.notes)
+    assert is_assumed == (not unit)
+    # The sum of two columns takes it as one column does.
+    twice = load(
+        tmp_path, content, channels={"Fx": ["Fx", "Fy"]}, units={"force": sensitivity}
+    )
+    np.testing.assert_allclose(twice.force[:, 0], factor * FORCE[:, :2].sum(axis=1))
+
+
+@pytest.mark.parametrize(
+    ("unit", "sensitivity", "message"),
+    [
+        ("V", "0 N/V", "a number above 0"),
+        ("V", "-100 N/V", "a sign in `axes`"),
+        ("V", "0 N", "a number above 0"),
+        ("V", "100 mm/V", 'such as "100 N/V"'),
+        ("V", "4 pC/N", "for a column in V"),
+        ("N", "100 N/V", "for a column in N"),
+        ("pC", "pC", 'such as "4 pC/N"'),
+    ],
+)
+def test_a_sensitivity_that_does_not_suit_is_refused_by_its_key(
+    tmp_path, unit, sensitivity, message
+):
+    names = ",".join(f"F{axis} [{unit}]" for axis in "xyz")
+    content = f"time_s,{names}\n" + "\n".join(rows())
+    with pytest.raises(io.RecordError, match=rf"unit of `force`: .*({message})"):
+        load(tmp_path, content, units={"force": sensitivity})
+
+
 def test_the_vertical_force_is_no_voltage(tmp_path):
     """As `F_H` beside it."""
     content = "time_s,F_x,F_H,F_V\n" + "\n".join(rows())

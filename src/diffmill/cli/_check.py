@@ -83,41 +83,13 @@ def _tables(file: pathlib.Path) -> dict[str, object]:
 def _describe_identification(file: pathlib.Path, *, allow_outside: bool) -> list[str]:
     configure_jax()
     from ..config import load_identification
-    from ..identification import (
-        ControllerStudy,
-        CoupledStudy,
-        ForceRecordStudy,
-        LoadTestStudy,
-        MeanForceStudy,
-        ModeStudy,
-    )
+    from ._identify.reading import study_lines
 
     study = load_identification(file, allow_outside=allow_outside)
-    lines = [f"{file}: a file for `diffmill identify` without faults"]
-    if isinstance(study, ForceRecordStudy | MeanForceStudy):
-        for one in study.records:
-            lines.append(
-                f"  {one.name}: cut from {one.start:.4g} to {one.stop:.4g} s at "
-                f"{one.record.rate:g} Hz"
-            )
-            lines += [f"    note: {note}" for note in one.notes]
-    if isinstance(study, ModeStudy):
-        for one in study.measured:
-            lines.append(f"  {one.name}")
-            lines += [f"    note: {note}" for note in one.notes]
-    elif isinstance(study, MeanForceStudy):
-        lines.append(f"  mean forces at {len(study.feed_per_tooth)} feeds")
-    elif isinstance(study, LoadTestStudy):
-        lines.append(f"  {len(study.rows)} load tests of {study.robot.name}")
-    elif isinstance(study, ControllerStudy):
-        rows = int(study.is_recorded.sum())
-        lines.append(f"  {rows} rows every {study.time_step * 1e3:.3g} ms")
-    elif isinstance(study, CoupledStudy):
-        first, last = float(study.time[0]), float(study.time[-1])
-        lines.append(f"  {len(study.time)} rows from {first:.4g} to {last:.4g} s")
-    if not isinstance(study, ForceRecordStudy | ModeStudy):
-        lines += [f"  note: {note}" for note in study.notes]
-    return lines
+    return [
+        f"{file}: a file for `diffmill identify` without faults",
+        *study_lines(study),
+    ]
 
 
 def _describe_campaign(file: pathlib.Path, *, allow_outside: bool) -> list[str]:

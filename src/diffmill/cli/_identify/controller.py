@@ -4,6 +4,7 @@ import functools
 
 from ...identification import ControllerStudy
 from ...viz import plot_prediction
+from .digits import Rounded
 from .report import Report, all_noted, noted
 
 
@@ -32,19 +33,13 @@ def report_controller(study: ControllerStudy, found: ControllerStudy.Fit) -> Rep
     ]
     toml = ["[controller]"]
     if found.is_identifiable:
-        toml.append(
-            f'bandwidth = "{found.bandwidth:.6g} Hz"      # +- '
-            f"{errors['bandwidth']:.2g}"
-        )
+        number, error = Rounded.of(found.bandwidth, errors["bandwidth"])
+        toml.append(f'bandwidth = "{number} Hz"      # +- {error}')
         if zeta is not None:
-            number = f"{zeta:.6g}"
-            toml.append(
-                f"damping_ratio = {number}        # +- {errors['damping_ratio']:.2g}"
-            )
-        toml.append(
-            f'dead_time = "{found.dead_time * 1e3:.6g} ms"      # +- '
-            f"{errors['dead_time'] * 1e3:.2g}"
-        )
+            number, error = Rounded.of(zeta, errors["damping_ratio"])
+            toml.append(f"damping_ratio = {number}        # +- {error}")
+        late = Rounded.of(1e3 * found.dead_time, 1e3 * errors["dead_time"])
+        toml.append(f'dead_time = "{late.value} ms"      # +- {late.error}')
     else:
         toml = ["# No bandwidth: this path does not show it; see summary.txt."]
         lines += noted(

@@ -117,7 +117,7 @@ def _toml(study: CoupledStudy, fit: CoupledStudy.Fit) -> list[str]:
         for word, value in relative.items():
             remark = remarks.get(word)
             lines += [] if remark is None else [f"# {remark}"]
-            lines.append(f"{word} = {value:.3g}")
+            lines.append(f"{word} = {value:.2g}")
         lines += ["gaussian = true"]
     return lines or ["# Nothing is identifiable; see summary.txt."]
 

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ...identification import Diagnosis
+from ...identification import Diagnosis, ForceRecord
 from .report import noted
 
 
@@ -34,6 +34,21 @@ def diagnosis_facts(diagnoses: Sequence[Diagnosis]) -> list[dict[str, object]]:
     return [
         {"code": d.code, "record": d.record, "values_SI": dict(d.values)}
         for d in diagnoses
+    ]
+
+
+def tare_facts(records: Sequence[ForceRecord]) -> list[dict[str, object] | None]:
+    """Return offset, drift and noise of records for `identified.json`."""
+    return [
+        None
+        if one.tare is None
+        else {
+            "time_s": one.tare.instant,
+            "offset_N": one.tare.offset,
+            "drift_N_per_s": one.tare.drift,
+            "noise_N": one.tare.noise,
+        }
+        for one in records
     ]
 
 
@@ -98,6 +113,26 @@ def _drift(v: dict[str, float], axes: Sequence[str]) -> str:
     )
 
 
+def _spindle(v: dict[str, float], axes: Sequence[str]) -> str:
+    # A force that was not measured has no amplitude.
+    sizes = ", ".join(f"F{axis} {v[axis]:.3g}" for axis in "xyz" if v[axis] > 0)
+    text = (
+        f"The fit leaves a line at the spindle's frequency, {v['frequency']:.4g} Hz, "
+        f"of amplitude {sizes} N in the axes of the work. Teeth that are all alike "
+        "have none: "
+    )
+    if v["is_fitted"]:
+        return (
+            f"{text}beside the run-out that was fitted, teeth of different length "
+            "would explain it, or an unbalanced spindle."
+        )
+    return (
+        f"{text}run-out or uneven teeth would explain it, or an unbalanced spindle, "
+        'which shows without a cut, too. Fit the run-out by refine = ["runout"] in '
+        "[fit]."
+    )
+
+
 def _recorded(v: dict[str, float], axes: Sequence[str]) -> str:
     """Return forces of the work as they were recorded, with three digits."""
     order = [axes.index(next(a for a in axes if a[-1] == name)) for name in "xyz"]
@@ -137,6 +172,7 @@ _TEXTS = {
     "channel_gain": _gain,
     "offset": _offset,
     "drift": _drift,
+    "spindle_line": _spindle,
     "implausible_pressure": _pressure,
     "implausible_ratio": _ratio,
 }
@@ -148,6 +184,7 @@ _TITLES = {
     "channel_gain": "A channel may have a wrong gain",
     "offset": "The record has an offset",
     "drift": "The record drifts",
+    "spindle_line": "The fit leaves a line at the spindle's frequency",
     "implausible_pressure": "No known material has this K_tc",
     "implausible_ratio": "No cutter has these ratios of coefficients",
 }

@@ -15,11 +15,11 @@ from ...viz import (
     plot_prediction,
     plot_residual_spectrum,
 )
-from .diagnoses import diagnosis_facts, diagnosis_lines
+from .diagnoses import diagnosis_facts, diagnosis_lines, tare_facts
 from .registration import axes_lines, record_lines, tooth_lines
 from .report import Report, all_noted, noted
 from .text import coefficient_lines, correlation_lines
-from .toml_snippets import NOISE_ALONE, fitted_force_toml
+from .toml_snippets import NOISE_ALONE, cutter_toml, fitted_force_toml
 
 
 def report_records(study: ForceRecordStudy, found: ForceRecordStudy.Fit) -> Report:
@@ -39,10 +39,12 @@ def report_records(study: ForceRecordStudy, found: ForceRecordStudy.Fit) -> Repo
         *tooth_lines(
             records,
             [one.shift for one in fit.records],
+            fit.time_shift_errors,
             [one.revolution for one in fit.records],
         ),
     ]
-    toml = fitted_force_toml(found, [one.partition(":")[0] for one in fit.doubts])
+    doubts = [one.partition(":")[0] for one in fit.doubts]
+    toml = fitted_force_toml(found, doubts, cutter_toml(found))
     return Report(lines, toml, _facts(study, found), _figures(study, found))
 
 
@@ -85,6 +87,7 @@ def _facts(study: ForceRecordStudy, found: ForceRecordStudy.Fit) -> dict[str, An
     return {
         "kind": "force_records",
         "records": [record.name for record in study.records],
+        "tare": tare_facts(study.records),
         "coefficients_SI": fit.coefficients,
         "standard_errors_SI": fit.standard_errors,
         "raw_SI": fit.raw,

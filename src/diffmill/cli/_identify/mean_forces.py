@@ -6,7 +6,8 @@ import numpy as np
 
 from ...identification import MeanForceStudy
 from ...viz import plot_correlation, plot_mean_forces
-from .diagnoses import diagnosis_facts, diagnosis_lines
+from .diagnoses import diagnosis_facts, diagnosis_lines, tare_facts
+from .reading import tare_lines
 from .report import Report, all_noted, noted
 from .text import axes_text, coefficient_lines, correlation_lines, force_on_text
 from .toml_snippets import NOISE_ALONE, fitted_force_toml
@@ -31,6 +32,7 @@ def report_means(study: MeanForceStudy, found: MeanForceStudy.Fit) -> Report:
     facts = {
         "kind": "mean_forces",
         "records": names,
+        "tare": tare_facts(study.records),
         "feed_per_tooth_m": study.feed_per_tooth,
         "mean_force_N": found.force,
         "axes": used.axes,
@@ -84,6 +86,7 @@ def _input_lines(study: MeanForceStudy) -> list[str]:
     ]
     lines += all_noted(study.notes)
     for record in study.records:
+        lines += [f"{record.name}:", *tare_lines(record)]
         for note in record.notes:
             lines += noted(f"{record.name}: {note}")
         if record.is_saturated:

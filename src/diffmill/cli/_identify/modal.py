@@ -17,9 +17,10 @@ from ...viz import (
     plot_joint_values,
     plot_ring_down,
 )
+from .digits import Rounded
 from .report import Report, all_noted, noted
 from .text import kept_remark
-from .toml_snippets import doubted, joints_toml, uncertainty_toml
+from .toml_snippets import commented, doubted, joints_toml, uncertainty_toml
 
 # Modes that explain a smaller share of what was measured are doubted.
 _LITTLE = 0.9
@@ -109,12 +110,15 @@ def _mode_tables(one: FrequencyResponse, fit: Any, faults: Any) -> list[str]:
         if not is_known:
             lines.append(f"# {one.name}: {fit.frequencies[k]:.4g} Hz is not known")
             continue
+        frequency = Rounded.of(fit.frequencies[k], fit.frequency_errors[k])
+        damping = Rounded.of(fit.damping_ratios[k], fit.damping_errors[k])
+        stiffness = Rounded.of(fit.stiffness[k], fit.stiffness_errors[k])
         lines += [
             "[[machine.modes]]",
-            f'frequency = "{fit.frequencies[k]:.8g} Hz"',
-            f"damping_ratio = {fit.damping_ratios[k]:.8g}",
+            commented(f'frequency = "{frequency.value} Hz"', f"+- {frequency.error}"),
+            commented(f"damping_ratio = {damping.value}", f"+- {damping.error}"),
             f"direction = {one.direction}",
-            f'stiffness = "{fit.stiffness[k]:.8g} N/m"',
+            commented(f'stiffness = "{stiffness.value} N/m"', f"+- {stiffness.error}"),
         ]
     if any(faults):
         return doubted(lines, f"{one.name}: a wrong sign; see summary.txt.")

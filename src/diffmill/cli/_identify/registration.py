@@ -12,6 +12,8 @@ from ...identification import (
     RecordRegistration,
 )
 from .diagnoses import diagnosis_lines
+from .digits import Rounded
+from .reading import tare_lines
 from .report import all_noted, noted
 from .text import axes_text, force_on_text
 
@@ -22,6 +24,7 @@ _ALIKE, _COVERED = 0.8, 0.9
 def tooth_lines(
     records: Sequence[ForceRecord],
     shifts: Sequence[float],
+    errors: Sequence[float],
     revolutions: Sequence[float],
 ) -> list[str]:
     """Return where tooth 0 stands at the zero of a measured spindle angle.
@@ -29,12 +32,15 @@ def tooth_lines(
     Args:
         records: The records.
         shifts: Of each the time shift that the fit has added [s].
+        errors: Standard errors of these [s].
         revolutions: Of each the time of a revolution [s].
     """
     lines = []
-    for record, shift, turn in zip(records, shifts, revolutions, strict=True):
+    every = zip(records, shifts, errors, revolutions, strict=True)
+    for record, shift, error, turn in every:
         # The clock was set so that tooth 0 stands at the measured angle.
         angle = math.remainder(360 * shift / turn, 360)
+        shown = Rounded.of(angle, 360 * error / turn).value
         if record.knows_tooth:
             lines.append(
                 f"{record.name}: the tooth stands {angle:+.2g} deg off the tooth_angle"
@@ -42,8 +48,8 @@ def tooth_lines(
         elif record.angle is not None and record.time_shift is None:
             lines += noted(
                 f"{record.name}: tooth 0, or one that looks alike, stands at "
-                f"{angle:.4g} deg at the zero of the spindle's angle: "
-                f'tooth_angle = "{angle:.4g} deg".'
+                f"{shown} deg at the zero of the spindle's angle: "
+                f'tooth_angle = "{shown} deg".'
             )
     return lines
 
@@ -68,6 +74,7 @@ def record_lines(
             f"{record.name}: {known} samples used, at {record.record.rate:g} Hz from "
             f"{record.start:.4g} to {record.stop:.4g} s, {rpm:.6g} rpm"
         )
+        lines += tare_lines(record)
         lines += all_noted([x for x in (*record.notes, *one.notes) if x not in shared])
         lines += diagnosis_lines(one.diagnoses)
         if record.is_saturated:

@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float
 from ...identification import ForceRecordStudy, MeanForceStudy
 from ...robot import Robot
 from .diagnoses import diagnosis_title
+from .digits import Rounded
 
 # Largest uncertainty that the table takes.
 _LARGEST = 0.999
@@ -39,17 +40,17 @@ def force_toml(
     lines = ["[force]"]
     for name, value in coefficients.items():
         unit, scale = _unit(name)
-        number = f'{name} = "{value * scale:.6g} {unit}"'
-        number = number if unit else f"{name} = {value:.6g}"
-        error = "as in the job"
-        if name in errors:
-            error = f"+- {errors[name] * scale:.2g}"
+        text, error = f"{value * scale:.6g}", "as in the job"
+        if name in errors and np.isfinite(value):
+            rounded = Rounded.of(value * scale, errors[name] * scale)
+            text, error = rounded.value, f"+- {rounded.error}"
+        number = f'{name} = "{text} {unit}"' if unit else f"{name} = {text}"
         if identifiable[name] and np.isfinite(value):
-            lines.append(f"{number:32}# {error}")
+            lines.append(commented(number, error))
             continue
         lost = f"# {name}: not identifiable"
         if np.isfinite(value):
-            lost += f", {value * scale:.3g} {error} {unit}"
+            lost += f", {text} {error} {unit}"
         lines.append(f"{lost.rstrip()}; {_left_out(name)}")
     return lines
 
@@ -66,6 +67,11 @@ def _left_out(name: str) -> str:
     if name in ("m_r", "m_a"):
         return "left out it is m_t"
     return "left out it is 0" if name.endswith("e") else "a job needs it"
+
+
+def commented(line: str, remark: str) -> str:
+    """Return a line with a comment behind it, those of a table below each other."""
+    return f"{line:32}# {remark}"
 
 
 def doubted(lines: Sequence[str], why: str) -> list[str]:
@@ -88,7 +94,7 @@ def uncertainty_toml(key: str, relative: float, remark: str | None = None) -> li
         "",
         "[correction.uncertainty]",
         *([] if remark is None else [f"# {remark}"]),
-        f"{key} = {value:.3g}",
+        f"{key} = {value:.2g}",
         "gaussian = true",
     ]
 
@@ -103,17 +109,67 @@ def force_uncertainty_toml(relative: float) -> list[str]:
     return uncertainty_toml("force", known, _FORCE_REMARK)
 
 
+def cutter_toml(found: ForceRecordStudy.Fit) -> list[str]:
+    """Return the lines of `[cutter]` with the run-out and diameter that were fitted.
+
+    Args:
+        found: What the study has found; no lines if it fitted the coefficients alone.
+    """
+    fit, lines = found.fit, []
+    if "runout_x" in fit.refined:
+        lines += _runout_toml(fit.refined, fit.refined_errors)
+    growth = fit.refined.get("radius", np.nan)
+    if np.isfinite(growth):
+        nominal = float(fit.records[0].cut.cutter.nominal_radius)
+        error = 2e3 * fit.refined_errors["radius"]
+        value, shown = Rounded.of(2e3 * (nominal + growth), error)
+        lines.append(commented(f'diameter = "{value} mm"', f"+- {shown}"))
+    return ["[cutter]", *lines, ""] if lines else []
+
+
+def _runout_toml(
+    lengths: Mapping[str, float], errors: Mapping[str, float]
+) -> list[str]:
+    """Return run-out and its angle; comments where the records do not show them."""
+    x, y = lengths["runout_x"], lengths["runout_y"]
+    x_error, y_error = errors["runout_x"], errors["runout_y"]
+    if not np.isfinite(x) and not np.isfinite(y):
+        return ["# runout, runout_angle: not identifiable; see summary.txt"]
+    hidden = [name for name, v in (("x", x), ("y", y)) if not np.isfinite(v)]
+    if hidden:
+        # What does not show is left out, as if it were zero.
+        x, x_error = (x, x_error) if np.isfinite(x) else (0.0, 0.0)
+        y, y_error = (y, y_error) if np.isfinite(y) else (0.0, 0.0)
+    size = float(np.hypot(x, y))
+    size_error = float(np.hypot(x * x_error, y * y_error)) / size
+    angle = float(np.degrees(np.arctan2(y, x)))
+    angle_error = float(np.degrees(np.hypot(y * x_error, x * y_error))) / size**2
+    value, shown = Rounded.of(1e6 * size, 1e6 * size_error)
+    lines = [commented(f'runout = "{value} um"', f"+- {shown}")]
+    if hidden:
+        text = f'runout_angle = "{angle:.0f} deg"'
+        why = f"runout_{hidden[0]} is not identifiable and taken as 0"
+        return [*lines, commented(text, f"from tooth 0; {why}")]
+    value, shown = Rounded.of(angle, angle_error)
+    text = f'runout_angle = "{value} deg"'
+    return [*lines, commented(text, f"from tooth 0, +- {shown}")]
+
+
 def fitted_force_toml(
-    found: ForceRecordStudy.Fit | MeanForceStudy.Fit, doubts: Sequence[str]
+    found: ForceRecordStudy.Fit | MeanForceStudy.Fit,
+    doubts: Sequence[str],
+    cutter: Sequence[str] = (),
 ) -> list[str]:
     """Return the tables after a fit of forces, as comments if they are doubtful.
 
     Args:
         found: What the study has found.
         doubts: Why it is doubtful, beside axes and diagnoses; the first is told.
+        cutter: Lines of `[cutter]` that stand before.
     """
     fit = found.fit
     lines = [
+        *cutter,
         *force_toml(fit.coefficients, fit.standard_errors, fit.identifiable),
         *force_uncertainty_toml(found.relative_uncertainty),
     ]
@@ -151,11 +207,11 @@ def joints_toml(
     for i, name in enumerate(robot.joint_names[: len(values)]):
         one = unit[int(robot.joint_kinds[i] == "prismatic")]
         if identifiable[i]:
-            text = f'    "{values[i]:.6g} {one}",'
-            rows.append(f"{text:32}# {name}: +- {errors[i]:.2g}")
+            value, error = Rounded.of(float(values[i]), float(errors[i]))
+            rows.append(commented(f'    "{value} {one}",', f"{name}: +- {error}"))
         elif np.isfinite(model[i]):
             text = f'    "{model[i]:.6g} {one}",'
-            rows.append(f"{text:32}# {name}: not identifiable; as in the model")
+            rows.append(commented(text, f"{name}: not identifiable; as in the model"))
         else:
             is_whole = False
             rows.append(f"    # {name}: not identifiable, and the model has no value")

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...identification import CoupledStudy
+from ...identification import CoupledStudy, Record
 from ...io import Quantity, TableReader
 from ...units import FORCE, LENGTH
 from .context import Context
@@ -23,6 +23,7 @@ class _Columns(NamedTuple):
     force: np.ndarray | None
     deviation: np.ndarray | None
     notes: tuple[str, ...]
+    channels: tuple[Record.Channel, ...]
 
 
 def read_coupled(
@@ -61,6 +62,7 @@ def read_coupled(
         has_time_shift=table.has_time_shift,
         loss=table.loss,
         notes=found.notes,
+        channels=found.channels,
     )
 
 
@@ -97,4 +99,5 @@ def _columns(reader: TableReader) -> _Columns:
         )
     reader.check()
     force, deviation = (None if v is None else v[good] for v in parts.values())
-    return _Columns(time[good], force, deviation, tuple(reader.notes))
+    notes, channels = tuple(reader.notes), tuple(reader.read)
+    return _Columns(time[good], force, deviation, notes, channels)

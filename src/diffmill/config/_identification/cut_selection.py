@@ -88,22 +88,24 @@ def _cuts_text(cuts: list[CutSpan]) -> str:
     return f"{len(cuts)} cut{'s' * (len(cuts) > 1)} ({shown}{more})"
 
 
-def tared(
+def tare_of(
     record: Record,
     table: RecordTable,
     cuts: list[CutSpan],
     span: CutSpan,
     tooth: float,
     notes: list[str],
-) -> Record:
-    """Return the record less its offset and drift, and note what was done."""
+) -> Record.Tare | None:
+    """Return offset and drift of the record, None if none are removed; note why.
+
+    Raises:
+        ValueError: A section that the table names holds fewer than two samples.
+    """
     if table.tare == "none":
-        return record
+        return None
     if table.tare is not None:
-        before = slice(table.tare[0], table.tare[1])
-        if isinstance(table.tare_after, list):
-            return record.without_drift(before, slice(*table.tare_after))
-        return record.without_offset(before)
+        after = slice(*table.tare_after) if isinstance(table.tare_after, list) else None
+        return record.tare(slice(table.tare[0], table.tare[1]), after)
     before, after = _quiet(record, cuts, span, tooth)
     if before is not None and after is not None:
         notes.append(
@@ -111,19 +113,19 @@ def tared(
             f"{before.stop:.4g} s and {after.start:.4g} to {after.stop:.4g} s, where "
             "nothing is cut."
         )
-        return record.without_drift(before, after)
+        return record.tare(before, after)
     one = before or after
     if one is None:
         notes.append(
             "No section without a cut was found: no offset was removed, and one that "
             "the record has goes into the edge coefficients. Name one by `tare`."
         )
-        return record
+        return None
     notes.append(
         f"The offset was taken from {one.start:.4g} to {one.stop:.4g} s, where nothing "
         "is cut."
     )
-    return record.without_offset(one)
+    return record.tare(one)
 
 
 def _quiet(

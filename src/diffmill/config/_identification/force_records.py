@@ -7,7 +7,7 @@ from ..._job import Job
 from ...identification import ForceRecord, Record, StraightCut
 from ...io import RecordError, load_record
 from .context import Context
-from .cut_selection import cuts_in, engaged, span_of, tared
+from .cut_selection import cuts_in, engaged, span_of, tare_of
 from .schema import RecordTable
 from .spindle_angle import spindle_angle
 
@@ -98,7 +98,8 @@ def _ready(
     if span is None:
         return None
     try:
-        quiet = tared(record, table, parts, span, tooth, notes)
+        tare = tare_of(record, table, parts, span, tooth, notes)
+        quiet = record if tare is None else record.without(tare)
         start, stop = engaged(process, table, span, record, notes)
         used = quiet.section(start, stop)
     except ValueError as error:
@@ -124,6 +125,7 @@ def _ready(
         angle=angle,
         knows_tooth=angle is not None and table.tooth_angle is not None,
         notes=tuple(notes),
+        tare=tare,
     )
 
 

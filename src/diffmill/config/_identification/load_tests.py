@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ... import units as q
-from ...identification import LoadTestStudy
+from ...identification import LoadTestStudy, Record
 from ...io import Quantity, TableReader
 from ...robot import Robot, forward_kinematics
 from .context import Context
@@ -29,6 +29,7 @@ class _Tests(NamedTuple):
     load: np.ndarray
     moved: np.ndarray
     notes: list[str]
+    channels: tuple[Record.Channel, ...]
 
 
 def read_load_tests(
@@ -81,6 +82,7 @@ def read_load_tests(
         has_offset=table.has_offset,
         noise=table.noise,
         notes=(*notes, *found.notes),
+        channels=found.channels,
     )
 
 
@@ -134,7 +136,13 @@ def _columns(table: LoadTestsTable, robot: Robot) -> Callable[[TableReader], _Te
         reader.check()
         load = [values[n] for n in ("force", "moment") if n in values]
         moved = [values[n] for n in ("displacement", "rotation") if n in values]
-        return _Tests(values["joint"], np.hstack(load), np.hstack(moved), reader.notes)
+        return _Tests(
+            values["joint"],
+            np.hstack(load),
+            np.hstack(moved),
+            reader.notes,
+            tuple(reader.read),
+        )
 
     return build
 

@@ -8,6 +8,7 @@ from ...identification import (
     ForceRecord,
     ForceSettings,
     MeanForceStudy,
+    Record,
     StraightCut,
 )
 from ...io import Quantity, RecordError, TableReader
@@ -36,6 +37,7 @@ class _Means(NamedTuple):
     force: np.ndarray
     records: tuple[ForceRecord, ...] = ()
     notes: tuple[str, ...] = ()
+    channels: tuple[Record.Channel, ...] = ()
 
 
 def mean_force_task(
@@ -95,7 +97,14 @@ def mean_force_task(
     order = np.argsort(feeds, kind="stable")
     in_order = tuple(means.records[i] for i in order) if means.records else ()
     return MeanForceStudy(
-        name, cut, feeds[order], means.force[order], in_order, settings, means.notes
+        name=name,
+        cut=cut,
+        feed_per_tooth=feeds[order],
+        mean_force=means.force[order],
+        records=in_order,
+        settings=settings,
+        notes=means.notes,
+        channels=means.channels,
     )
 
 
@@ -183,7 +192,8 @@ def _of_file(reader: TableReader) -> _Means:
             "the header, such as `fz_mm`."
         )
         raise RecordError(reader.name, [fault])
-    return _complete(found[0], np.column_stack(found[1:]), reader.notes)
+    means = _complete(found[0], np.column_stack(found[1:]), reader.notes)
+    return means._replace(channels=tuple(reader.read))
 
 
 def _complete(feeds: np.ndarray, force: np.ndarray, notes: list[str]) -> _Means:

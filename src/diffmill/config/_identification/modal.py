@@ -103,6 +103,7 @@ def _ring_down(
             frequencies=_guesses(table),
             q=pose,
             notes=tuple(reader.notes),
+            channels=tuple(reader.read),
         )
 
     return build
@@ -156,6 +157,7 @@ def _frequency_response(
             q=pose,
             notes=tuple(reader.notes),
             direction=table.direction,
+            channels=tuple(reader.read),
         )
 
     return build

@@ -230,7 +230,11 @@ def _simulated(
 ) -> LinearisedRecord:
     """Return a record with its cut for given lengths, linearised in these."""
     dtype = one.cut.stock.origin.dtype
-    base = dataclasses.replace(one.cut, cutter=_original(one.cut.cutter, dtype))
+    original = _original(one.cut.cutter, dtype)
+    if "runout_x" in names:
+        # The plan of the cut is that of teeth which stand out.
+        original = dataclasses.replace(original, has_runout=True)  # pyright: ignore[reportCallIssue]
+    base = dataclasses.replace(one.cut, cutter=original)
     x = jnp.asarray(np.concatenate([K, lengths]), dtype)
     linear = _derivatives(with_plan(base), x, names)
     if linear.result != RESULTS.successful:
@@ -271,6 +275,7 @@ def cutter_with(
         changes = {
             "runout": jnp.hypot(x, y),
             "runout_angle": jnp.arctan2(y, x),
+            "has_runout": True,
             "is_plain": False,
         }
     if "radius" in names:

@@ -13,6 +13,7 @@ from ...cutting import LinearEdgeLaw
 from .._record.channel_faults import check_channels, check_coefficients, similar_classes
 from .._record.clock_faults import check_rate
 from .._record.diagnosis import Diagnosis
+from .._record.spindle_line import check_spindle_line
 from .._statistics.identifiability import identifiable
 from .._statistics.robust_regression import (
     LinearFit,
@@ -356,7 +357,10 @@ def _report(
             for n, e, ok in zip(names, spreads, has_moved, strict=True)
         },
         has_converged=refined.has_converged,
-        diagnoses=_diagnoses(records, rows, is_gross, np.where(is_fixed, K, np.nan)),
+        diagnoses=(
+            *_diagnoses(records, rows, is_gross, np.where(is_fixed, K, np.nan)),
+            *_spindle_lines(found, is_gross, is_fitted="runout_x" in names),
+        ),
         doubts=doubts,
         notes=(
             *doubts,
@@ -411,6 +415,41 @@ def _diagnoses(
         part = Rows(row.columns[few], force, row.lag)
         found += check_channels(part, one.time[few], i)
     return (*found, *check_coefficients(K))
+
+
+def _spindle_lines(
+    found: _Settled, is_gross: Bool[np.ndarray, " force"], *, is_fitted: bool
+) -> list[Diagnosis]:
+    """Return lines at the spindle's frequency in what the fit leaves.
+
+    Args:
+        found: The fit.
+        is_gross: Which forces are gross errors, all records in one row.
+        is_fitted: Whether a run-out was fitted.
+    """
+    lines = []
+    ends = np.cumsum([one.force.size for one in found.rows])[:-1]
+    for i, (one, row, off, gross) in enumerate(
+        zip(
+            found.records,
+            found.rows,
+            found.fit.residual,
+            np.split(is_gross, ends),
+            strict=True,
+        )
+    ):
+        if one.cut.cutter.flute_count == 1:
+            continue
+        is_used = np.isfinite(row.force) & ~gross.reshape(-1, 3)
+        rms = float(np.sqrt(np.mean(row.force[is_used] ** 2))) if is_used.any() else 0.0
+        left = np.where(is_used, off, np.nan)
+        lines += [
+            dataclasses.replace(
+                told, record=i, values={**told.values, "is_fitted": float(is_fitted)}
+            )
+            for told in check_spindle_line(one.time, left, one.revolution, rms)
+        ]
+    return lines
 
 
 def _rate(

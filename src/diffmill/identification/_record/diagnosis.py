@@ -33,6 +33,9 @@ class Diagnosis(eqx.Module):
             times what suits the others; with it a share `left` of the squared force is
             not explained, without it `before`;
             "offset", "drift": constants `x, y, z` [N] or slopes [N/s], likewise;
+            "spindle_line": the fit leaves sines of amplitudes `x, y, z` [N] at the
+            spindle's `frequency` [Hz], though more than one tooth cuts; `is_fitted` is
+            1 where a run-out was fitted, else 0;
             "implausible_pressure": K_tc, `value` [Pa], lies outside `least` to `most`,
             and would not divided by `factor` (NaN where no power of ten helps);
             "implausible_ratio": `radial` or `axial` over tangential coefficient.

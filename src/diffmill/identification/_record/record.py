@@ -8,6 +8,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float
 
+from .channel import MeasuredChannel, Tare
 from .spindle_angle import Pulses
 
 # Standard deviations beyond which a sample of a tare section is off its median, and
@@ -25,10 +26,18 @@ class TurnsMean(NamedTuple):
 
 
 class _Level(NamedTuple):
-    """Mean time [s] and mean force [N], shape (axis,), of a section without cut."""
+    """Force of a section without a cut.
+
+    Attributes:
+        time: Mean instant [s].
+        force: Mean force [N], shape (axis,).
+        noise: Standard deviation of the force about a line over time [N], shape
+            (axis,).
+    """
 
     time: float
     force: Float[np.ndarray, " axis"]
+    noise: Float[np.ndarray, " axis"]
 
 
 class Record(eqx.Module):
@@ -51,6 +60,9 @@ class Record(eqx.Module):
         is_measured: Whether there is a channel of each force.
         notes: What was assumed or repaired when reading, one sentence each.
         source: The file, or where else the record comes from.
+        channels: The columns that the record was read from; none if it was not read.
+        Channel: A column of a file, and what it was read as.
+        Tare: Offset, drift and noise by sections without a cut.
 
     Raises:
         ValueError: If shapes disagree, fewer than 2 samples are given, a force is not
@@ -69,6 +81,9 @@ class Record(eqx.Module):
     is_measured: tuple[bool, bool, bool] = eqx.field(static=True, default=(True,) * 3)
     notes: tuple[str, ...] = eqx.field(static=True, default=())
     source: str = eqx.field(static=True, default="")
+    channels: tuple[MeasuredChannel, ...] = eqx.field(static=True, default=())
+    Channel = MeasuredChannel
+    Tare = Tare
 
     def __check_init__(self) -> None:
         """Refuse arrays that make no record."""
@@ -127,40 +142,57 @@ class Record(eqx.Module):
         starts = [0, *np.flatnonzero(is_apart) + 1, self.time.size]
         return [slice(int(a), int(b)) for a, b in itertools.pairwise(starts)]
 
-    def without_offset(self, section: slice) -> "Record":
-        """Return the record less the mean force of a section without cut.
+    def tare(self, before: slice, after: slice | None = None) -> Tare:
+        """Return offset, drift and noise by sections without a cut.
 
         Gross errors, six standard deviations off the section's median, do not count.
 
         Args:
-            section: From where to where the tare section is [s], as
-                slice(start, stop).
+            before: From where to where the tare section is [s], as slice(start, stop).
+            after: A second one, which shows the drift [s], or None. The line goes
+                through the mean time and mean force of both sections: charge amplifiers
+                drift by a constant current.
+
+        Raises:
+            ValueError: If fewer than 2 samples lie in a section or both are the same.
+        """
+        first = self._level(before)
+        if after is None:
+            nothing = np.zeros_like(first.force)
+            return Tare(first.time, first.force, nothing, first.noise)
+        second = self._level(after)
+        if first.time == second.time:
+            raise ValueError("Arguments `before` and `after` must be two sections.")
+        slope = (second.force - first.force) / (second.time - first.time)
+        noise = np.sqrt(0.5 * (first.noise**2 + second.noise**2))
+        return Tare(first.time, first.force, slope, noise)
+
+    def without(self, tare: Tare) -> "Record":
+        """Return the record less its offset and drift."""
+        return dataclasses.replace(self, force=self.force - tare.force(self.time))
+
+    def without_offset(self, section: slice) -> "Record":
+        """Return the record less the mean force of a section without cut.
+
+        Args:
+            section: The section [s], as `tare` takes it.
 
         Raises:
             ValueError: If fewer than 2 samples lie in the section.
         """
-        _, level = self._level(section)
-        return dataclasses.replace(self, force=self.force - level[None])
+        return self.without(self.tare(section))
 
     def without_drift(self, before: slice, after: slice) -> "Record":
         """Return the record less the line through two sections without cut.
 
-        The line goes through the mean time and mean force of both sections: charge
-        amplifiers drift by a constant current. Gross errors do not count.
-
         Args:
-            before: The tare section before the cut [s], as `without_offset` takes it.
+            before: The tare section before the cut [s], as `tare` takes it.
             after: The one after it [s].
 
         Raises:
             ValueError: If fewer than 2 samples lie in a section or both are the same.
         """
-        first, second = self._level(before), self._level(after)
-        if first.time == second.time:
-            raise ValueError("Arguments `before` and `after` must be two sections.")
-        slope = (second.force - first.force) / (second.time - first.time)
-        drift = first.force[None] + slope[None] * (self.time - first.time)[:, None]
-        return dataclasses.replace(self, force=self.force - drift)
+        return self.without(self.tare(before, after))
 
     def mean_over_turns(
         self, start: float, stop: float, spindle_speed: float | None
@@ -251,4 +283,10 @@ class Record(eqx.Module):
         limit = _GROSS / 0.67 * np.median(off, axis=0)
         is_good = (off <= limit[None]) | (limit[None] == 0)
         level = np.mean(part.force, axis=0, where=is_good)
-        return _Level(float(part.time.mean()), level)
+        # About a line: a drift within the section is no noise.
+        late = (part.time - part.time.mean())[:, None] * is_good
+        late = late - late.mean(axis=0, where=is_good)[None] * is_good
+        slope = np.sum(late * part.force, axis=0) / np.sum(late**2, axis=0)
+        off = part.force - level[None] - slope[None] * late
+        noise = np.sqrt(np.mean(off**2, axis=0, where=is_good))
+        return _Level(float(part.time.mean()), level, noise)

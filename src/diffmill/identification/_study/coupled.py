@@ -8,6 +8,7 @@ from jaxtyping import Float
 from ..._job import Job
 from .._coupled.fit_coupled import CoupledFit, fit_coupled
 from .._coupled.model import mean_over_period
+from .._record.channel import MeasuredChannel
 from .study import OnProgress, StudyError, silent
 
 
@@ -25,6 +26,7 @@ class CoupledStudy(NamedTuple):
         has_time_shift: Whether a shift of the clock is fitted too.
         loss: "squares" or "huber".
         notes: What was assumed.
+        channels: The columns that were read; none where a script gives the numbers.
         Fit: What it finds.
     """
 
@@ -38,6 +40,7 @@ class CoupledStudy(NamedTuple):
     has_time_shift: bool
     loss: str
     notes: tuple[str, ...]
+    channels: tuple[MeasuredChannel, ...] = ()
     Fit = CoupledFit
 
     @property

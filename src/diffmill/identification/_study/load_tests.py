@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ...robot import Robot
+from .._record.channel import MeasuredChannel
 from .._stiffness.axis_check import Turns
 from .._stiffness.cross_validation import LoadCheck, check_load_tests
 from .._stiffness.experiment_design import LoadTests, suggest_load_tests
@@ -57,6 +58,7 @@ class LoadTestStudy(NamedTuple):
         has_offset: Whether a constant displacement is fitted too.
         noise: "absolute", "relative" or None.
         notes: What was assumed.
+        channels: The columns that were read; none where a script gives the numbers.
         Fit: What it finds.
     """
 
@@ -71,6 +73,7 @@ class LoadTestStudy(NamedTuple):
     has_offset: bool
     noise: str | None
     notes: tuple[str, ...]
+    channels: tuple[MeasuredChannel, ...] = ()
     Fit = LoadTestStudyFit
 
     def run(self, on_progress: OnProgress = silent) -> LoadTestStudyFit:

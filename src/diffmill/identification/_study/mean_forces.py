@@ -15,6 +15,7 @@ from .._force.mean_force import (
     fit_mean_forces,
     mean_force_matrices,
 )
+from .._record.channel import MeasuredChannel
 from .._record.channel_faults import check_coefficients
 from .._record.diagnosis import Diagnosis
 from .records import ForceRecord, ForceSettings, diagnoses_of
@@ -80,6 +81,7 @@ class MeanForceStudy(NamedTuple):
         records: The records that the means are of; empty for a table.
         settings: How they are fitted.
         notes: What was assumed of a table.
+        channels: The columns that were read; none where a script gives the numbers.
         Fit: What it finds.
     """
 
@@ -90,6 +92,7 @@ class MeanForceStudy(NamedTuple):
     records: tuple[ForceRecord, ...]
     settings: ForceSettings
     notes: tuple[str, ...]
+    channels: tuple[MeasuredChannel, ...] = ()
     Fit = MeanForceStudyFit
 
     def run(self, on_progress: OnProgress = silent) -> MeanForceStudyFit:

@@ -16,6 +16,7 @@ from .._modal.ring_down import (
     fit_ring_down,
     ring_down_frequencies,
 )
+from .._record.channel import MeasuredChannel
 from .study import OnProgress, StudyError, silent
 
 # A response is doubted of which modes explain less; another sign of its phase is the
@@ -36,6 +37,7 @@ class RingDown(NamedTuple):
         frequencies: Guesses [Hz], shape (mode,), or None.
         q: Joint positions [rad or m], shape (joint,), or None.
         notes: What was assumed.
+        channels: The columns that were read; none where a script gives the numbers.
     """
 
     name: str
@@ -45,6 +47,7 @@ class RingDown(NamedTuple):
     frequencies: Float[np.ndarray, " mode"] | None
     q: Float[np.ndarray, " joint"] | None
     notes: tuple[str, ...]
+    channels: tuple[MeasuredChannel, ...] = ()
 
     def fit(self) -> RingDownFit:
         """Return its modes."""
@@ -81,6 +84,7 @@ class FrequencyResponse(NamedTuple):
         notes: What was assumed.
         direction: In which the tool tip was struck and its motion measured, in the
             axes of the machine, of any length; None if it was not there.
+        channels: The columns that were read; none where a script gives the numbers.
     """
 
     name: str
@@ -93,6 +97,7 @@ class FrequencyResponse(NamedTuple):
     q: Float[np.ndarray, " joint"] | None
     notes: tuple[str, ...]
     direction: list[float] | None = None
+    channels: tuple[MeasuredChannel, ...] = ()
 
     def fit(self) -> FrequencyResponseFit:
         """Return its modes."""

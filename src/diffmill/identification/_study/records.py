@@ -12,6 +12,7 @@ from .._alignment.record_registration import (
     RecordRegistration,
 )
 from .._cut.straight_cut import StraightCut
+from .._record.channel import Tare
 from .._record.diagnosis import Diagnosis
 from .._record.record import Record
 from .study import StudyError
@@ -44,6 +45,8 @@ class ForceRecord(NamedTuple):
             (sample,), or None.
         knows_tooth: Whether that is the immersion angle of tooth 0.
         notes: What was assumed or done, one sentence each.
+        tare: Offset, drift and noise of the force as it was recorded; None if nothing
+            was removed.
     """
 
     name: str
@@ -56,6 +59,7 @@ class ForceRecord(NamedTuple):
     angle: Float[np.ndarray, " sample"] | None
     knows_tooth: bool
     notes: tuple[str, ...]
+    tare: Tare | None = None
 
     def is_used(self) -> Bool[np.ndarray, " sample"]:
         """Return which samples are of the part to be fitted."""

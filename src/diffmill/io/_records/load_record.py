@@ -41,8 +41,8 @@ def load_record(
             is not in it is looked for by name.
         rate: Sampling rate [Hz], needed if neither a time column nor the header has it.
         units: Unit of `time`, `angle`, `Fx`, `Fy`, `Fz`, or `force` for all three,
-            before what the file says; or what its number 1 stands for: "100 N" for
-            volts of an amplifier set so.
+            before what the file says; or what its number 1 stands for, "100 N"; or
+            the sensitivity of a column of volts or charges, "100 N/V" or "4 pC/N".
 
     Returns:
         The record in SI units.
@@ -100,6 +100,7 @@ def load_record(
         is_measured=(seen[0], seen[1], seen[2]),
         notes=tuple(reader.notes),
         source=reader.name,
+        channels=tuple(reader.read),
     )
 
 

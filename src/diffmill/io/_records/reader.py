@@ -3,7 +3,7 @@
 import pathlib
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -12,8 +12,20 @@ from ...units import ANGLE, FORCE, TIME, QuantityKind
 from .errors import RecordError
 from .quantity import TIME_COLUMN, Quantity
 from .read_table import read_table
-from .table import Column, Table, given_scale, is_unit, scale, split_unit
+from .table import (
+    ELECTRIC,
+    Column,
+    Table,
+    given_scale,
+    is_sensitivity,
+    is_unit,
+    scale,
+    split_unit,
+)
 from .timeline import Timeline, timeline
+
+if TYPE_CHECKING:
+    from ...identification import Record
 
 # Name or number (from 1) of a column, those of a force that is their sum, or None for
 # no such column.
@@ -31,6 +43,7 @@ class TableReader:
         units: What a number stands for, as the user says, before what the file says.
         faults: What is wrong, told at once by `check`.
         notes: What was assumed.
+        read: The columns that were read, in SI units.
         TIME: The quantity of a column of the time.
     """
 
@@ -47,6 +60,7 @@ class TableReader:
         self.channels, self.units = dict(channels or {}), dict(units or {})
         self.faults: list[str] = []
         self.notes: list[str] = list(table.notes)
+        self.read: list[Record.Channel] = []
 
     @classmethod
     def of_file(
@@ -153,38 +167,92 @@ class TableReader:
             self.faults.append(f"the column `{column.name}` ({key}) holds no number.")
             return None
         if not kinds:
-            return values
-        by_user = self._unit_key(quantity)
+            return self._as_read(quantity, column, None, values)
         unit = self.unit_of(quantity, column)
         if not unit:
             self.notes.append(
                 f"The column `{column.name}` has no unit and was taken in "
                 f"{kinds[0].unit}."
             )
-            return values
+            return self._as_read(quantity, column, kinds[0], values)
         messages = []
         for kind in kinds:
             try:
-                return values * (scale if by_user is None else given_scale)(unit, kind)
+                factor = self._scale(quantity, column, kind)
             except ValueError as error:
                 messages.append(str(error))
+            else:
+                return self._as_read(quantity, column, kind, values * factor)
+        by_user = self._unit_key(quantity)
         fault = f"the unit of `{by_user}`: {messages[0]}."
         if by_user is None:
-            example = {TIME: "ms", ANGLE: "deg"}.get(kinds[0], f"100 {kinds[0].unit}")
+            example = {TIME: '"ms"', ANGLE: '"deg"'}.get(kinds[0])
+            example = example or _sensitivity_example(unit, kinds[0])
             fault = (
                 f"the unit of the column `{column.name}` ({key}): {messages[0]}; or "
                 "say what a number stands for by `units`, such as "
-                f'{{ {quantity.units[0]} = "{example}" }}.'
+                f"{{ {quantity.units[0]} = {example} }}."
+            )
+        elif unit in ELECTRIC:
+            fault = (
+                f"the unit of `{by_user}`: found {unit!r}, but the sensitivity of the "
+                f"column is required, such as {_sensitivity_example(unit, kinds[0])}."
             )
         # Of the unit of a whole vector it is told once.
         self.faults += [] if fault in self.faults else [fault]
         return None
 
+    def _scale(self, quantity: Quantity, column: Column, kind: QuantityKind) -> float:
+        """Return how many SI units a number of a column has.
+
+        Raises:
+            ValueError: The unit is unknown, or of another kind.
+        """
+        by_user = self._unit_key(quantity)
+        unit = self.unit_of(quantity, column)
+        if by_user is None:
+            return scale(unit, kind)
+        written = self._written_unit(quantity, column)
+        if is_sensitivity(unit) and not written:
+            self.notes.append(
+                f"The column `{column.name}` has no unit and was taken in the electric "
+                f"unit of its sensitivity, {unit}."
+            )
+        return given_scale(unit, kind, written)
+
+    def _as_read(
+        self,
+        quantity: Quantity,
+        column: Column,
+        kind: QuantityKind | None,
+        values: Float[np.ndarray, " row"],
+    ) -> Float[np.ndarray, " row"]:
+        """Return the numbers of a column, which is noted as read."""
+        # It takes a third of a second to import, which a job does not need.
+        from ...identification import Record
+
+        known = values[np.isfinite(values)]
+        self.read.append(
+            Record.Channel(
+                quantity.key,
+                column.name,
+                self.unit_of(quantity, column),
+                "" if kind is None else kind.unit,
+                float(known.min()),
+                float(known.max()),
+            )
+        )
+        return values
+
     def unit_of(self, quantity: Quantity, column: Column) -> str:
         """Return the unit of a column, "" if neither the user nor the file says it."""
         by_user = self._unit_key(quantity)
         given = "" if by_user is None else self.units[by_user]
-        return given or column.unit or split_unit(column.name, *quantity.kinds).unit
+        return given or self._written_unit(quantity, column)
+
+    def _written_unit(self, quantity: Quantity, column: Column) -> str:
+        """Return the unit of a column by the file, "" if it has none."""
+        return column.unit or split_unit(column.name, *quantity.kinds).unit
 
     def _unit_key(self, quantity: Quantity) -> str | None:
         """Return the key under which the user gives the unit of a quantity."""
@@ -218,7 +286,12 @@ class TableReader:
                 f"the channel {key} = {list(labels)!r} names one column twice."
             )
             return None
-        units = [self.unit_of(quantity, column) for column in columns]
+        by_user = self._unit_key(quantity)
+        is_stated = by_user is not None and not is_sensitivity(self.units[by_user])
+        units = [
+            "" if is_stated else self._written_unit(quantity, column)
+            for column in columns
+        ]
         for what, values in (
             ("unit", [unit or "none" for unit in units]),
             ("sampling rate", [column.rate for column in columns]),
@@ -271,6 +344,11 @@ def _fits(column: Column, quantity: Quantity) -> bool:
         re.fullmatch(quantity.pattern, name.strip(), re.IGNORECASE)
         for name in (column.name, split_unit(column.name, *quantity.kinds).name)
     )
+
+
+def _sensitivity_example(unit: str, kind: QuantityKind) -> str:
+    """Return a sensitivity of a column in an electric unit, as an example."""
+    return f'"4 pC/{kind.unit}"' if unit.endswith("C") else f'"100 {kind.unit}/V"'
 
 
 def _has_kind(column: Column, kinds: tuple[QuantityKind, ...]) -> bool:

@@ -102,17 +102,77 @@ def scale(unit: str, kind: QuantityKind) -> float:
     return quantity(f"1 {other}", kind)
 
 
-def given_scale(text: str, kind: QuantityKind) -> float:
+def given_scale(text: str, kind: QuantityKind, column_unit: str = "") -> float:
     """Return how many SI units a number in the file stands for, as the user says.
 
     Args:
-        text: A unit, or an amount of one for a file of volts: "kN", or "100 N".
+        text: A unit, an amount of one, or a sensitivity of a column of voltages or
+            charges: "kN", "100 N", "100 N/V", or "4 pC/N".
         kind: What it must be.
+        column_unit: Unit of the column by the file; "" for the electric unit of the
+            sensitivity.
 
     Raises:
-        ValueError: If the unit is unknown or of another kind.
+        ValueError: The unit is unknown or of another kind, the amount is not above
+            zero, or a sensitivity does not suit the unit of the column.
     """
-    return quantity(text, kind) if text.lstrip()[:1].isdigit() else scale(text, kind)
+    plain = text.strip()
+    if _SENSITIVITY.search(plain):
+        return _sensitivity_scale(plain, kind, column_unit)
+    if not plain[:1].isdigit():
+        return scale(plain, kind)
+    return _above_zero(quantity(plain, kind), text)
+
+
+def is_sensitivity(text: str) -> bool:
+    """Return whether a text has the form of a sensitivity, such as "100 N/V"."""
+    return _SENSITIVITY.search(text) is not None
+
+
+# A sensitivity has an electric unit on one side of its stroke.
+_ELECTRIC_UNIT = r"(?P<{}>[munp\u00b5]?[VC])"
+_SENSITIVITY = re.compile(
+    rf"/\s*{_ELECTRIC_UNIT.format('below')}\s*$"
+    rf"|(?:^|[\s\d]){_ELECTRIC_UNIT.format('above')}\s*/"
+)
+_VOLTAGE = QuantityKind("a voltage", "V", "10 mV")
+_CHARGE = QuantityKind("a charge", "C", "4 pC")
+
+
+def _sensitivity_scale(text: str, kind: QuantityKind, column_unit: str) -> float:
+    """Return how many SI units a number of a column has, by its sensitivity."""
+    found = _SENSITIVITY.search(text)
+    assert found is not None
+    unit = found["below"] or found["above"]
+    electric = _CHARGE if unit.endswith("C") else _VOLTAGE
+    is_inverse = found["below"] is None
+    ratio = f"{electric.unit}/({kind.unit})" if is_inverse else ""
+    whole = QuantityKind(
+        "a sensitivity",
+        ratio or f"{kind.unit}/{electric.unit}",
+        f"4 pC/{kind.unit}" if is_inverse else f"100 {kind.unit}/V",
+        kind.angle,
+    )
+    amount = text if re.match(r"[+\-.\d]", text) else f"1 {text}"
+    value = _above_zero(quantity(amount, whole), text)
+    try:
+        number = quantity(f"1 {column_unit or unit}", electric)
+    except ValueError:
+        raise ValueError(
+            f"found {text!r} for a column in {column_unit}, but a sensitivity per "
+            f"{electric.unit} is for a column in {unit} or another unit of "
+            f"{electric.noun}"
+        ) from None
+    return number / value if is_inverse else number * value
+
+
+def _above_zero(value: float, text: str) -> float:
+    if not value > 0:
+        raise ValueError(
+            f"found {text!r}, but a number above 0 is required; a reversed channel has "
+            "a sign in `axes`"
+        )
+    return value
 
 
 def is_unit(text: str, *kinds: QuantityKind) -> bool:

@@ -233,7 +233,7 @@ def _offset_of_ends(
     offsets = cutter.edge_offsets(jax.lax.stop_gradient(height))
     offsets = jnp.broadcast_to(offsets, (offsets.shape[0], *height.shape))
     off = cutter.level(places, cut_by.tip, axis)
-    away = jax.lax.stop_gradient(jnp.abs(sin_kappa * offsets - off))
+    away = jax.lax.stop_gradient(jnp.abs(sin_kappa[None] * offsets - off[None]))
     nearest = jnp.argmin(away, axis=0)[None]
     return jnp.take_along_axis(offsets, nearest, axis=0)[0]
 
