@@ -783,6 +783,17 @@ def test_what_is_known_may_stand_in_a_trace(name):
     check_around_known(CALLS[name]())
 
 
+def test_sizes_of_a_cutter_that_are_known_may_stand_in_a_trace():
+    helix, runout, limit = along(HELIX, 10e-6, 1.2)
+
+    def run(height):
+        mill = cutter.bull_nose(10e-3, 2, 2e-3, helix, runout=runout)
+        assert mill.has_helix and mill.has_runout
+        return mill.elements(1, 2, 2, height, height.dtype, limit)
+
+    assert_alike(jax.jit(run)(*along(1e-3)), run(*along(1e-3)))
+
+
 @pytest.mark.parametrize("name", marked(LONG_SLOPES))
 def test_slopes_need_no_compiler(name):
     call = CALLS[name]()
