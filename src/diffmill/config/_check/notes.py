@@ -1,5 +1,7 @@
 """Notes on a job: what is worth knowing before it runs, and no fault."""
 
+import math
+
 import numpy as np
 from jaxtyping import Float
 
@@ -11,6 +13,12 @@ from .._build.stock import StockPlan
 _COARSE = 0.05
 # Lean of the cutter from +z above which it lies flat [deg].
 _FLAT = 80.0
+# Usual cutting speeds [m/s], and feeds per tooth [m], the largest as a share of the
+# diameter: those of cutters for small depths and large feeds.
+_SLOWEST, _FASTEST = 1.0 / 60, 3000.0 / 60
+_LEAST_FEED, _MOST_FEED = 0.05e-6, 0.15
+# Usual lengths of flutes and tools in diameters.
+_LONGEST_FLUTES, _SHORTEST_FLUTES = 20.0, 0.1
 
 
 def immersion(path: Path, cutter: AbstractCutter, stock: StockPlan) -> float:
@@ -66,6 +74,46 @@ def notes(stock: StockPlan, path: Path, cutter: AbstractCutter) -> tuple[str, ..
         notes.append(
             "nothing is cut: nowhere over the stock does the tip go below its top; the "
             f"path spans {spans[0]}, the stock {spans[1]}"
+        )
+    return tuple(notes)
+
+
+def rate_notes(
+    path: Path, cutter: AbstractCutter, tooth_period: float
+) -> tuple[str, ...]:
+    """Return that a cutter turns or feeds as none does, or has flutes as none has.
+
+    Args:
+        path: The path, a row per tooth period.
+        cutter: The cutter.
+        tooth_period: Tooth period [s].
+    """
+    notes = []
+    diameter = 2 * cutter.nominal_radius
+    speed = math.pi * diameter / (tooth_period * cutter.flute_count)
+    if not _SLOWEST <= speed <= _FASTEST:
+        notes.append(
+            f"[spindle] speed: a diameter of {diameter * 1e3:.4g} mm cuts at "
+            f"{speed * 60:.4g} m/min; {_SLOWEST * 60:g} to {_FASTEST * 60:g} m/min are "
+            "usual"
+        )
+    rows = np.asarray(path.positions, np.float64)
+    steps = np.linalg.norm(np.diff(rows, axis=0), axis=1)
+    feeds = steps[~np.asarray(path.is_rapid, bool)[1:]]
+    most = float(np.max(feeds, initial=0.0))
+    largest = _MOST_FEED * diameter
+    if feeds.size and not _LEAST_FEED <= most <= largest:
+        notes.append(
+            f"[program] file: the feed per tooth is up to {most * 1e3:.4g} mm; "
+            f"{_LEAST_FEED * 1e3:g} mm to {largest * 1e3:.4g} mm are usual of a cutter "
+            f"of {diameter * 1e3:.4g} mm: are feed, spindle speed and teeth what is "
+            "meant?"
+        )
+    length = cutter.flute_length / diameter
+    if not _SHORTEST_FLUTES <= length <= _LONGEST_FLUTES:
+        notes.append(
+            f"[cutter] flute_length: {length:.3g} times the diameter; "
+            f"{_SHORTEST_FLUTES:g} to {_LONGEST_FLUTES:g} times are usual"
         )
     return tuple(notes)
 
