@@ -28,7 +28,7 @@ from diffmill.examples import copy_example
 
 HERE = pathlib.Path(__file__).parent
 # Longest time that reading a mutant may take [s], and memory of the process [byte].
-LONGEST, MEMORY = 60, 24 * 2**30
+LONGEST, MEMORY = 300, 24 * 2**30
 # Units of a dimension, of which one may be taken for another.
 UNITS = (
     ("um", "mm", "cm", "m", "in"),
