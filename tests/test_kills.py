@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import xarray
 
-from diffmill import examples
+from diffmill import examples, io
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals of another kind")
 SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
@@ -190,6 +190,7 @@ run()
 """
 
 
+@pytest.mark.slow
 def test_a_run_killed_while_it_writes_checkpoints_goes_on_from_a_whole_one(tmp_path):
     examples.copy_example("tiny", tmp_path)
     inputs, count = names(tmp_path), 0
@@ -216,6 +217,44 @@ def test_a_run_killed_while_it_writes_checkpoints_goes_on_from_a_whole_one(tmp_p
         assert "the same command with --resume goes on from there" in said
         kept = ["tiny-correct.checkpoint", "tiny-correct.checkpoint.previous"]
         assert names(tmp_path) == sorted([*inputs, *kept])
+
+
+# Nothing but checkpoints, each of one number as often as fits into a write.
+KEEPS = """
+import itertools, pathlib
+import numpy as np
+from diffmill import io
+
+file = io.CheckpointFile(pathlib.Path("run.checkpoint"), "job")
+found = file.latest().arrays
+for count in itertools.count(1 if found is None else int(found["many"][0]) + 1):
+    file.write({"many": np.full(100_000, count)})
+    print(count, flush=True)
+"""
+
+
+def test_a_kill_leaves_a_whole_checkpoint(tmp_path):
+    count, random = 0, np.random.default_rng(SEED)
+    file = io.CheckpointFile(tmp_path / "run.checkpoint", "job")
+    for _ in range(3):
+        process = subprocess.Popen(
+            [sys.executable, "-c", KEEPS],
+            cwd=tmp_path,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        assert process.stdout is not None
+        first = int(process.stdout.readline())
+        assert first == count + 1
+        time.sleep(random.random() * 0.1)
+        process.kill()
+        written, _ = process.communicate()
+        told = int([first, *written.split()][-1])
+        latest = file.latest()
+        assert latest.arrays is not None and not latest.notes
+        (count,) = np.unique(latest.arrays["many"])
+        # The last one may have got its name before it was told.
+        assert count in (told, told + 1)
 
 
 @pytest.mark.parametrize("number", SIGNALS[1:])
