@@ -154,7 +154,7 @@ def test_a_size_that_takes_all_memory_is_refused_with_its_key(load, old, new, me
             "[simulation]\nscatter = { force = 1e-6 }\n[program]",
             "[simulation] scatter force",
         ),
-        ('"8000 rpm"', '"25 rpm"', "[spindle] speed"),
+        ('"8000 rpm"', '"60 rpm"', "[spindle] speed"),
         ('"8000 rpm"', '"150000 rpm"', "[spindle] speed"),
     ],
 )

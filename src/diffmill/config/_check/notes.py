@@ -15,7 +15,7 @@ _COARSE = 0.05
 _FLAT = 80.0
 # Usual cutting speeds [m/s], and feeds per tooth [m], the largest as a share of the
 # diameter: those of cutters for small depths and large feeds.
-_SLOWEST, _FASTEST = 1.0 / 60, 3000.0 / 60
+_SLOWEST, _FASTEST = 2.0 / 60, 3000.0 / 60
 _LEAST_FEED, _MOST_FEED = 0.05e-6, 0.15
 # Usual lengths of flutes and tools in diameters.
 _LONGEST_FLUTES, _SHORTEST_FLUTES = 20.0, 0.1
