@@ -181,10 +181,11 @@ def test_coefficients_that_are_interchanged_are_noted(load):
     assert any(note.startswith("[force] K_rc: 3.41 times K_tc") for note in notes)
 
 
-def test_a_feed_per_tooth_that_no_cutter_takes_is_noted(load):
-    program = PROGRAM.replace("X-8 F6000", "X-300 F6000")
+@pytest.mark.parametrize(("z", "is_noted"), [(-1, True), (1, False)])
+def test_a_feed_per_tooth_that_no_cutter_takes_is_noted(load, z, is_noted):
+    program = f"G21 G17 G90 G94\nG0 X-9 Y4 Z{z}\nG1 X14 F6000\nM2\n"
     notes = load('"8000 rpm"', '"500 rpm"', program).notes
-    assert any("feed per tooth is up to 6 mm" in note for note in notes)
+    assert any("feed per tooth is up to 6 mm" in note for note in notes) == is_noted
 
 
 @pytest.mark.parametrize(("depth", "is_small"), [("0.2 mm", True), ("1 mm", False)])

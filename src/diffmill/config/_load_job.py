@@ -478,7 +478,7 @@ def _assemble(
             *output.notes(is_upright=path.is_upright),
             *found,
             *notes(stock, path, cutter),
-            *rate_notes(path, cutter, parts.tooth_period),
+            *rate_notes(stock, path, cutter, parts.tooth_period),
         ),
         bottom_law=bottom_law,
         holder=parts.holder,

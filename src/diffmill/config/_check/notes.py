@@ -3,7 +3,7 @@
 import math
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from ...cutter import AbstractCutter
 from ...toolpath import Path
@@ -23,10 +23,17 @@ _LONGEST_FLUTES, _SHORTEST_FLUTES = 20.0, 0.1
 
 def immersion(path: Path, cutter: AbstractCutter, stock: StockPlan) -> float:
     """Return how deep the path takes the tip below the top of the stock [m]."""
-    tips, radius = np.asarray(path.positions), cutter.nominal_radius
-    low, high = stock.lower, stock.upper
-    is_over = ((tips > low - radius) & (tips < high + radius))[:, :2].all(axis=1)
-    return float(np.max(high[2] - tips[is_over, 2], initial=0.0))
+    tips = np.asarray(path.positions)
+    over = tips[_is_over(tips, cutter, stock), 2]
+    return float(np.max(stock.upper[2] - over, initial=0.0))
+
+
+def _is_over(
+    tips: Float[np.ndarray, "step 3"], cutter: AbstractCutter, stock: StockPlan
+) -> Bool[np.ndarray, " step"]:
+    """Return the rows in which the cutter is over or in the stock, seen from above."""
+    radius, low, high = cutter.nominal_radius, stock.lower, stock.upper
+    return ((tips > low - radius) & (tips < high + radius))[:, :2].all(axis=1)
 
 
 def notes(stock: StockPlan, path: Path, cutter: AbstractCutter) -> tuple[str, ...]:
@@ -79,11 +86,12 @@ def notes(stock: StockPlan, path: Path, cutter: AbstractCutter) -> tuple[str, ..
 
 
 def rate_notes(
-    path: Path, cutter: AbstractCutter, tooth_period: float
+    stock: StockPlan, path: Path, cutter: AbstractCutter, tooth_period: float
 ) -> tuple[str, ...]:
     """Return that a cutter turns or feeds as none does, or has flutes as none has.
 
     Args:
+        stock: The stock; moves beside and above it may be fast.
         path: The path, a row per tooth period.
         cutter: The cutter.
         tooth_period: Tooth period [s].
@@ -97,9 +105,11 @@ def rate_notes(
             f"{speed * 60:.4g} m/min; {_SLOWEST * 60:g} to {_FASTEST * 60:g} m/min are "
             "usual"
         )
-    rows = np.asarray(path.positions, np.float64)
-    steps = np.linalg.norm(np.diff(rows, axis=0), axis=1)
-    feeds = steps[~np.asarray(path.is_rapid, bool)[1:]]
+    tips = np.asarray(path.positions, np.float64)
+    is_feed = _is_over(tips, cutter, stock) & (tips[:, 2] < stock.upper[2])
+    is_feed &= ~np.asarray(path.is_rapid, bool)
+    # Part of the way to the first row of a move is one of the move before.
+    feeds = np.linalg.norm(np.diff(tips, axis=0), axis=1)[is_feed[1:] & is_feed[:-1]]
     most = float(np.max(feeds, initial=0.0))
     largest = _MOST_FEED * diameter
     if feeds.size and not _LEAST_FEED <= most <= largest:
