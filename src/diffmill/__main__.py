@@ -3,14 +3,24 @@
 import contextlib
 import gc
 import os
+import signal
 import sys
 from typing import NoReturn
-
-from .cli import main
 
 # Tracing makes a great many objects that live on, among which Python would search all
 # the time for those that do not.
 _OBJECTS = 500_000
+
+
+def main() -> int:
+    """Import the command line, which takes a moment, and run it."""
+    from .cli import main as run_command
+
+    return run_command()
+
+
+def _interrupt(number: int, frame: object) -> NoReturn:
+    raise KeyboardInterrupt
 
 
 def run() -> NoReturn:
@@ -20,12 +30,19 @@ def run() -> NoReturn:
     second. Nor could it be where a thread still compiles what nobody waits for any
     more, which cannot be interrupted. What a command writes is closed by then.
     """
+    # From the first moment on, also while the command line is imported.
+    signal.signal(signal.SIGTERM, _interrupt)
     gc.set_threshold(_OBJECTS)
     try:
         code = main()
     except KeyboardInterrupt:
-        # A second one, while the first was told.
+        # One before the command began, or a second one while the first was told.
+        print("error: interrupted", file=sys.stderr)
         code = 1
+    # The code is known: a signal now ends the process without a trace.
+    for number in (signal.SIGINT, signal.SIGTERM):
+        if callable(signal.getsignal(number)):
+            signal.signal(number, signal.SIG_DFL)
     for stream in filter(None, (sys.stdout, sys.stderr)):
         try:
             stream.flush()

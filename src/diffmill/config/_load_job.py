@@ -45,7 +45,7 @@ from ._check.modes import (
     default_looks,
     default_substeps,
 )
-from ._check.notes import immersion, notes
+from ._check.notes import immersion, notes, rate_notes
 from ._check.ranges import range_notes
 from ._check.rapids import check_overhang, check_rapids
 from ._check.reach import ReachCheck
@@ -478,6 +478,7 @@ def _assemble(
             *output.notes(is_upright=path.is_upright),
             *found,
             *notes(stock, path, cutter),
+            *rate_notes(stock, path, cutter, parts.tooth_period),
         ),
         bottom_law=bottom_law,
         holder=parts.holder,
@@ -547,6 +548,12 @@ def _simulation(
         table.chip, stock.spacing, cutter
     )
     depth = table.axial_depth or deepest
+    if depth < (deepest - _ROOM) * (1 - _ROUNDING):
+        context.notes.append(
+            f"[simulation] axial_depth: found {depth * 1e3:g} mm, but the path goes "
+            f"{(deepest - _ROOM) * 1e3:g} mm below the top of the stock; what the tool "
+            "cuts farther above its tip is not computed"
+        )
     if depth > _MOST_DISCS * height:
         problems.append(
             f"[simulation] element_height: found {height * 1e3:g} mm, for which a "

@@ -102,6 +102,11 @@ def read_robot(
     T_flange_tool = np.asarray(robot.T_flange_tool, np.float64)
     robot = with_spring(robot, table.flange_spring, problems)
     robot = with_bending_cutter(robot, table.bending_tool, cutter)
+    if table.flange_spring is not None:
+        context.notes.extend(table.flange_spring.notes())
+    if table.bending_tool is not None and cutter is not None:
+        diameter = 2 * cutter.nominal_radius
+        context.notes.extend(table.bending_tool.notes(diameter))
     if start is not None:
         start = np.pad(start, (0, robot.joint_count - len(start)))
     return FittedRobot(robot, start, T_flange_tool)

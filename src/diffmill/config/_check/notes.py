@@ -1,7 +1,9 @@
 """Notes on a job: what is worth knowing before it runs, and no fault."""
 
+import math
+
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from ...cutter import AbstractCutter
 from ...toolpath import Path
@@ -11,14 +13,27 @@ from .._build.stock import StockPlan
 _COARSE = 0.05
 # Lean of the cutter from +z above which it lies flat [deg].
 _FLAT = 80.0
+# Usual cutting speeds [m/s], and feeds per tooth [m], the largest as a share of the
+# diameter: those of cutters for small depths and large feeds.
+_SLOWEST, _FASTEST = 2.0 / 60, 3000.0 / 60
+_LEAST_FEED, _MOST_FEED = 0.05e-6, 0.15
+# Usual lengths of flutes and tools in diameters.
+_LONGEST_FLUTES, _SHORTEST_FLUTES = 20.0, 0.1
 
 
 def immersion(path: Path, cutter: AbstractCutter, stock: StockPlan) -> float:
     """Return how deep the path takes the tip below the top of the stock [m]."""
-    tips, radius = np.asarray(path.positions), cutter.nominal_radius
-    low, high = stock.lower, stock.upper
-    is_over = ((tips > low - radius) & (tips < high + radius))[:, :2].all(axis=1)
-    return float(np.max(high[2] - tips[is_over, 2], initial=0.0))
+    tips = np.asarray(path.positions)
+    over = tips[_is_over(tips, cutter, stock), 2]
+    return float(np.max(stock.upper[2] - over, initial=0.0))
+
+
+def _is_over(
+    tips: Float[np.ndarray, "step 3"], cutter: AbstractCutter, stock: StockPlan
+) -> Bool[np.ndarray, " step"]:
+    """Return the rows in which the cutter is over or in the stock, seen from above."""
+    radius, low, high = cutter.nominal_radius, stock.lower, stock.upper
+    return ((tips > low - radius) & (tips < high + radius))[:, :2].all(axis=1)
 
 
 def notes(stock: StockPlan, path: Path, cutter: AbstractCutter) -> tuple[str, ...]:
@@ -66,6 +81,49 @@ def notes(stock: StockPlan, path: Path, cutter: AbstractCutter) -> tuple[str, ..
         notes.append(
             "nothing is cut: nowhere over the stock does the tip go below its top; the "
             f"path spans {spans[0]}, the stock {spans[1]}"
+        )
+    return tuple(notes)
+
+
+def rate_notes(
+    stock: StockPlan, path: Path, cutter: AbstractCutter, tooth_period: float
+) -> tuple[str, ...]:
+    """Return that a cutter turns or feeds as none does, or has flutes as none has.
+
+    Args:
+        stock: The stock; moves beside and above it may be fast.
+        path: The path, a row per tooth period.
+        cutter: The cutter.
+        tooth_period: Tooth period [s].
+    """
+    notes = []
+    diameter = 2 * cutter.nominal_radius
+    speed = math.pi * diameter / (tooth_period * cutter.flute_count)
+    if not _SLOWEST <= speed <= _FASTEST:
+        notes.append(
+            f"[spindle] speed: a diameter of {diameter * 1e3:.4g} mm cuts at "
+            f"{speed * 60:.4g} m/min; {_SLOWEST * 60:g} to {_FASTEST * 60:g} m/min are "
+            "usual"
+        )
+    tips = np.asarray(path.positions, np.float64)
+    is_feed = _is_over(tips, cutter, stock) & (tips[:, 2] < stock.upper[2])
+    is_feed &= ~np.asarray(path.is_rapid, bool)
+    # Part of the way to the first row of a move is one of the move before.
+    feeds = np.linalg.norm(np.diff(tips, axis=0), axis=1)[is_feed[1:] & is_feed[:-1]]
+    most = float(np.max(feeds, initial=0.0))
+    largest = _MOST_FEED * diameter
+    if feeds.size and not _LEAST_FEED <= most <= largest:
+        notes.append(
+            f"[program] file: the feed per tooth is up to {most * 1e3:.4g} mm; "
+            f"{_LEAST_FEED * 1e3:g} mm to {largest * 1e3:.4g} mm are usual of a cutter "
+            f"of {diameter * 1e3:.4g} mm: are feed, spindle speed and teeth what is "
+            "meant?"
+        )
+    length = cutter.flute_length / diameter
+    if not _SHORTEST_FLUTES <= length <= _LONGEST_FLUTES:
+        notes.append(
+            f"[cutter] flute_length: {length:.3g} times the diameter; "
+            f"{_SHORTEST_FLUTES:g} to {_LONGEST_FLUTES:g} times are usual"
         )
     return tuple(notes)
 

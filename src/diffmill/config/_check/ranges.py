@@ -15,99 +15,140 @@ class _Range(NamedTuple):
     kind: q.QuantityKind
 
 
-_SPEED = _Range("0.01 mm/s", "5 m/s", q.SPEED)
-_ACCELERATION = _Range("0.001 m/s^2", "100 m/s^2", q.ACCELERATION)
-_DELAY = _Range("0 s", "2 s", q.TIME)
-_MODE = _Range("0.1 Hz", "50 kHz", q.FREQUENCY)
+_SPEED = _Range("0.01 mm/s", "2 m/s", q.SPEED)
+_FAST = _Range("1 mm/s", "5 m/s", q.SPEED)
+_ACCELERATION = _Range("0.01 m/s^2", "100 m/s^2", q.ACCELERATION)
+_RAMP = _Range("0.1 ms", "5 s", q.TIME)
+_DELAY = _Range("0.1 ms", "0.5 s", q.TIME)
+_CYCLE = _Range("0.02 ms", "0.2 s", q.TIME)
+_MODE = _Range("0.5 Hz", "20 kHz", q.FREQUENCY)
+_SERVO = _Range("0.1 Hz", "5 kHz", q.FREQUENCY)
 _PLACE = _Range("0 m", "20 m", q.LENGTH)
 _REACH = _Range("0 m", "3 m", q.LENGTH)
 _LENGTH = _Range("0.1 mm", "1 m", q.LENGTH)
 _WIDTH = _Range("0.05 mm", "300 mm", q.LENGTH)
-_OFFSET = _Range("0 mm", "20 mm", q.LENGTH)
-_ERROR = _Range("0 mm", "2 mm", q.LENGTH)
+_OFFSET = _Range("2 um", "20 mm", q.LENGTH)
+_ERROR = _Range("0.01 um", "2 mm", q.LENGTH)
+_SLOPE = _Range("0.01 deg", "65 deg", q.ANGLE)
 _TURN = _Range("0 deg", "360 deg", q.ANGLE)
-_LINEAR = _Range("1 N/mm", "100000 N/um", q.LINEAR_STIFFNESS)
-_ROTARY = _Range("100 N*m/rad", "1e11 N*m/rad", q.ROTARY_STIFFNESS)
-_DAMPING = _Range("0 N*s/m", "1e7 N*s/m", q.LINEAR_DAMPING)
-_ROTARY_DAMPING = _Range("0 N*m*s/rad", "1e7 N*m*s/rad", q.ROTARY_DAMPING)
-_MASS = _Range("0.1 g", "100000 kg", q.MASS)
-_INERTIA = _Range("1e-9 kg*m^2", "1e6 kg*m^2", q.INERTIA)
+_LINEAR = _Range("10 N/mm", "20000 N/um", q.LINEAR_STIFFNESS)
+_ROTARY = _Range("100 N*m/rad", "1e9 N*m/rad", q.ROTARY_STIFFNESS)
+_DAMPING = _Range("1 N*s/m", "1e7 N*s/m", q.LINEAR_DAMPING)
+_ROTARY_DAMPING = _Range("0.01 N*m*s/rad", "1e6 N*m*s/rad", q.ROTARY_DAMPING)
 # By the key of the job; of a key that may have several units each has its range.
 _USUAL: dict[str, tuple[_Range, ...]] = {
     "cutter.diameter": (_WIDTH,),
     "cutter.corner_radius": (_Range("0.01 mm", "100 mm", q.LENGTH),),
     "cutter.flute_length": (_WIDTH,),
-    "cutter.helix_angle": (_Range("0 deg", "65 deg", q.ANGLE),),
-    "cutter.runout": (_Range("0 mm", "0.2 mm", q.LENGTH),),
+    "cutter.helix_angle": (_SLOPE,),
+    "cutter.runout": (_Range("0.01 um", "0.2 mm", q.LENGTH),),
+    "cutter.runout_angle": (_TURN,),
+    "cutter.dish_angle": (_SLOPE,),
     "cutter.overhang": (_LENGTH,),
     "cutter.holder.diameter": (_LENGTH,),
     "cutter.holder.upper_diameter": (_LENGTH,),
     "cutter.holder.length": (_LENGTH,),
     "spindle.speed": (_Range("20 rpm", "200000 rpm", q.ANGULAR_SPEED),),
-    "force.K_c": (_Range("0 N/mm^2", "50000 N/mm^2", q.PRESSURE),),
-    "force.K_e": (_Range("0 N/mm", "1000 N/mm", q.EDGE_FORCE),),
+    "force.K_tc": (_Range("10 N/mm^2", "50000 N/mm^2", q.PRESSURE),),
+    "force.K_c": (_Range("0.1 N/mm^2", "50000 N/mm^2", q.PRESSURE),),
+    "force.K_e": (_Range("0.01 N/mm", "300 N/mm", q.EDGE_FORCE),),
+    "force.reference_thickness": (_Range("1 um", "10 mm", q.LENGTH),),
+    "force.least_thickness": (_Range("0.001 um", "0.1 mm", q.LENGTH),),
     "stock.lower": (_PLACE,),
     "stock.upper": (_PLACE,),
-    "stock.spacing": (_Range("1 um", "20 mm", q.LENGTH),),
+    "stock.spacing": (_Range("2 um", "20 mm", q.LENGTH),),
     "program.feed": (_SPEED,),
-    "program.rapid_feed": (_SPEED,),
+    "program.rapid_feed": (_FAST,),
     "program.acceleration": (_ACCELERATION,),
-    "program.corner_tolerance": (_Range("0 mm", "10 mm", q.LENGTH),),
-    "program.smoothing": (_Range("0 s", "5 s", q.TIME),),
+    "program.corner_tolerance": (_Range("0.1 um", "10 mm", q.LENGTH),),
+    "program.smoothing": (_RAMP,),
     "program.jerk": (_Range("0.01 m/s^3", "1e5 m/s^3", q.JERK),),
-    "program.joint_ramp": (_Range("0 s", "5 s", q.TIME),),
+    "program.joint_ramp": (_RAMP,),
+    "program.offsets": (_PLACE,),
+    "program.tool_lengths": (_REACH,),
+    "program.machine_zero": (_PLACE,),
+    "program.reference_point": (_PLACE,),
+    "program.second_reference_point": (_PLACE,),
     "robot.joint_stiffness": (_ROTARY, _LINEAR),
     "robot.joint_damping": (_ROTARY_DAMPING, _DAMPING),
     "robot.work_in_base.position": (_PLACE,),
     "robot.work_in_base.rpy": (_TURN,),
     "robot.tool_in_flange.position": (_REACH,),
     "robot.tool_in_flange.rpy": (_TURN,),
-    "robot.flange_spring.linear_stiffness": (_LINEAR,),
-    "robot.flange_spring.rotary_stiffness": (_ROTARY,),
-    "robot.flange_spring.mass": (_MASS,),
-    "robot.flange_spring.center_of_mass": (_REACH,),
-    "robot.flange_spring.inertia": (_INERTIA,),
+    "robot.flange_spring.linear_stiffness": (
+        _Range("1 N/um", "20000 N/um", q.LINEAR_STIFFNESS),
+    ),
+    "robot.flange_spring.rotary_stiffness": (
+        _Range("1e4 N*m/rad", "1e9 N*m/rad", q.ROTARY_STIFFNESS),
+    ),
+    "robot.flange_spring.mass": (_Range("0.1 kg", "2000 kg", q.MASS),),
+    "robot.flange_spring.center_of_mass": (_Range("0 m", "1 m", q.LENGTH),),
+    "robot.flange_spring.inertia": (_Range("1e-5 kg*m^2", "1000 kg*m^2", q.INERTIA),),
     "robot.bending_tool.overhang": (_LENGTH,),
     "robot.bending_tool.shank_diameter": (_WIDTH,),
-    "robot.bending_tool.young_modulus": (_Range("10 GPa", "1200 GPa", q.MODULUS),),
+    "robot.bending_tool.young_modulus": (_Range("100 GPa", "1200 GPa", q.MODULUS),),
     "robot.bending_tool.density": (_Range("1 g/cm^3", "25 g/cm^3", q.DENSITY),),
     "machine.modes.frequency": (_MODE,),
     "machine.modes.stiffness": (_LINEAR,),
-    "machine.modes.mass": (_MASS,),
+    "machine.modes.mass": (_Range("0.1 g", "100000 kg", q.MASS),),
     "machine.rpy": (_TURN,),
-    "controller.interpolation_cycle": (_DELAY,),
-    "controller.moving_average": (_DELAY,),
+    "controller.interpolation_cycle": (_CYCLE,),
+    "controller.moving_average": (_RAMP,),
     "controller.dead_time": (_DELAY,),
     "controller.shaper.frequency": (_MODE,),
-    "controller.low_pass": (_MODE,),
-    "controller.bandwidth": (_MODE,),
-    "simulation.element_height": (_Range("1 um", "50 mm", q.LENGTH),),
+    "controller.low_pass": (_SERVO,),
+    "controller.bandwidth": (_SERVO,),
+    "simulation.axial_depth": (_Range("2 um", "300 mm", q.LENGTH),),
+    "simulation.element_height": (_Range("2 um", "50 mm", q.LENGTH),),
     "correction.tolerance": (_ERROR,),
-    "correction.tolerance_band": (_ERROR,),
+    "correction.tolerance_band": (_Range("0.1 um", "2 mm", q.LENGTH),),
     "correction.knot_spacing": (_Range("0.1 ms", "2 s", q.TIME),),
     "correction.max_offset": (_OFFSET,),
-    "correction.max_velocity": (_SPEED,),
+    "correction.max_velocity": (_FAST,),
     "correction.max_acceleration": (_ACCELERATION,),
     "correction.gouge": (_ERROR,),
     "correction.start_spread": (_ERROR,),
     "correction.uncertainty.delay": (_DELAY,),
-    "output.tolerance": (_ERROR,),
-    "output.stream_cycle": (_Range("0 s", "1 s", q.TIME),),
-    "output.max_step": (_OFFSET,),
+    "output.tolerance": (_Range("1e-6 um", "0.2 mm", q.LENGTH),),
+    "output.stream_cycle": (_CYCLE,),
+    "output.max_step": (_Range("0.1 um", "20 mm", q.LENGTH),),
 }
+_DAMPING_RATIO, _WEIGHT, _SPREAD = (1e-4, 0.3), (1e-2, 100), (1e-3, 0.9)
 # Of plain numbers.
 _USUAL_NUMBERS: dict[str, tuple[float, float]] = {
     "cutter.teeth": (1, 24),
-    "machine.modes.damping_ratio": (0, 0.5),
-    "robot.flange_spring.damping_ratio": (0, 0.5),
-    "robot.bending_tool.damping_ratio": (0, 0.5),
+    "force.m_t": (0.01, 0.8),
+    "force.m_r": (0.01, 0.8),
+    "force.m_a": (0.01, 0.8),
+    "machine.modes.damping_ratio": _DAMPING_RATIO,
+    "robot.flange_spring.damping_ratio": _DAMPING_RATIO,
+    "robot.bending_tool.damping_ratio": _DAMPING_RATIO,
+    "robot.bending_tool.flute_share": (0.4, 1),
     "controller.damping_ratio": (0.05, 5),
-    "controller.shaper.damping_ratio": (0, 0.5),
+    "controller.shaper.damping_ratio": _DAMPING_RATIO,
+    "simulation.angles": (1, 10_000),
+    "simulation.substeps": (1, 200),
+    "simulation.scatter.stiffness": _SPREAD,
+    "simulation.scatter.damping": _SPREAD,
+    "simulation.scatter.force": _SPREAD,
     "correction.acceleration_factor": (1, 100),
-    "correction.wall_weight": (1e-6, 1e6),
-    "correction.floor_weight": (1e-6, 1e6),
-    "correction.weight.value": (1e-6, 1e6),
+    "correction.wall_weight": _WEIGHT,
+    "correction.floor_weight": _WEIGHT,
+    "correction.weight.value": _WEIGHT,
+    "correction.uncertainty.stiffness": _SPREAD,
+    "correction.uncertainty.damping": _SPREAD,
+    "correction.uncertainty.force": _SPREAD,
 }
+# Of which zero is unusual, too: what swings ends to swing.
+_NEVER_ZERO = (
+    "machine.modes.damping_ratio",
+    "robot.flange_spring.damping_ratio",
+    "robot.bending_tool.damping_ratio",
+)
+# Whose keys the user names.
+_OF_NAMES = ("program.offsets", "program.tool_lengths")
+# Coefficients that push the tool away from what it cuts, or rub.
+_POSITIVE = ("K_rc", "K_te", "K_re", "K_rc11")
 
 
 def range_notes(raw: Mapping[str, object]) -> Iterator[str]:
@@ -117,6 +158,8 @@ def range_notes(raw: Mapping[str, object]) -> Iterator[str]:
         raw: The parsed TOML; faults in it are told elsewhere.
     """
     for place, key, value in _leaves(raw, "", ""):
+        if _is_negative(key, value):
+            yield f"{place}: found {value!r}; below 0 is unusual: is its sign meant?"
         if isinstance(value, str):
             found = _outside(value, _usual(key))
         else:
@@ -131,11 +174,22 @@ def range_notes(raw: Mapping[str, object]) -> Iterator[str]:
 
 def _usual(key: str) -> tuple[_Range, ...]:
     """Return the ranges of a key; coefficients of all laws are of two kinds."""
+    for names in _OF_NAMES:
+        key = names if key.startswith(f"{names}.") else key
     table, _, name = key.partition(".")
-    name = name.removeprefix("bottom.")
-    if table == "force" and name.startswith("K_"):
-        key = "force.K_e" if name.endswith("e") else "force.K_c"
+    if table == "force":
+        name = name.removeprefix("bottom.").removesuffix("11")
+        if name.startswith("K_") and name != "K_tc":
+            name = "K_e" if name.endswith("e") else "K_c"
+        key = f"force.{name}"
     return _USUAL.get(key, ())
+
+
+def _is_negative(key: str, value: object) -> bool:
+    """Return whether a coefficient is below 0 that no material has so."""
+    table, _, name = key.partition(".")
+    is_meant = table == "force" and name.removeprefix("bottom.") in _POSITIVE
+    return is_meant and isinstance(value, str) and value.lstrip().startswith("-")
 
 
 def _leaves(value: object, place: str, key: str) -> Iterator[tuple[str, str, object]]:
@@ -168,7 +222,9 @@ def _number_outside(value: object, key: str) -> tuple[str, str] | None:
     """Return the range of a plain number that it is outside of."""
     if not isinstance(value, int | float) or isinstance(value, bool):
         return None
+    key = key.replace("force.bottom.", "force.")
     least, most = _USUAL_NUMBERS.get(key, (-math.inf, math.inf))
     # Zero leaves something out, infinite stands for no limit.
-    is_usual = value == 0 or math.isinf(value) or least <= value <= most
+    is_left_out = value == 0 and key not in _NEVER_ZERO
+    is_usual = is_left_out or math.isinf(value) or least <= value <= most
     return None if is_usual else (f"{least:g}", f"{most:g}")

@@ -3,6 +3,7 @@
 Without its table a spring is not there, and nothing of it is computed.
 """
 
+import math
 from typing import TYPE_CHECKING, Annotated
 
 from pydantic import Field, StrictBool
@@ -26,6 +27,12 @@ if TYPE_CHECKING:
     from ...robot import Robot
 
 _THREE = Field(min_length=3, max_length=3)
+# Usual radii of gyration of spindles [m].
+_LEAST_RADIUS, _MOST_RADIUS = 8e-3, 1.0
+# Usual overhangs of cutters, and shanks, in diameters; small ones have shanks of up to
+# this width [m].
+_LEAST_OVERHANG, _MOST_OVERHANG = 0.5, 20.0
+_LEAST_SHANK, _MOST_SHANK, _SHANK_OF_SMALL = 0.25, 3.0, 12e-3
 
 
 class FlangeSpringTable(TomlTable):
@@ -64,6 +71,18 @@ class FlangeSpringTable(TomlTable):
         default=0.02, description="share of critical damping of each spring alone"
     )
 
+    def notes(self) -> tuple[str, ...]:
+        """Return that mass and inertia are not those of one body."""
+        radii = [math.sqrt(inertia / self.mass) for inertia in self.inertia]
+        if _LEAST_RADIUS <= min(radii) and max(radii) <= _MOST_RADIUS:
+            return ()
+        found = ", ".join(f"{1e3 * radius:.3g}" for radius in radii)
+        return (
+            f"[robot.flange_spring] inertia: with a mass of {self.mass:g} kg the radii "
+            f"of gyration are {found} mm; {1e3 * _LEAST_RADIUS:g} mm to "
+            f"{1e3 * _MOST_RADIUS:g} mm are usual",
+        )
+
 
 class BendingToolTable(TomlTable):
     """`[robot.bending_tool]`: the cutter as a cantilever."""
@@ -88,6 +107,20 @@ class BendingToolTable(TomlTable):
     damping_ratio: Ratio = Field(
         default=0.02, description="share of critical damping of the tool alone"
     )
+
+    def notes(self, diameter: float) -> tuple[str, ...]:
+        """Return which lengths are none of a cutter of a diameter [m]."""
+        shank = diameter if self.shank_diameter is None else self.shank_diameter
+        widest = max(_MOST_SHANK, _SHANK_OF_SMALL / diameter)
+        return tuple(
+            f"[robot.bending_tool] {key}: {length / diameter:.3g} times the diameter "
+            f"of the cutter; {least:.3g} to {most:.3g} times are usual"
+            for key, length, least, most in (
+                ("overhang", self.overhang, _LEAST_OVERHANG, _MOST_OVERHANG),
+                ("shank_diameter", shank, _LEAST_SHANK, widest),
+            )
+            if not least <= length / diameter <= most
+        )
 
 
 def with_spring(

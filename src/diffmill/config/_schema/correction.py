@@ -64,7 +64,9 @@ _FACTOR = 2.0
 class WeightTable(TomlTable):
     """An entry of `[correction] weight`: a section and how much it counts."""
 
-    lines: Annotated[list[StrictInt], Field(min_length=2, max_length=2)] = Field(
+    lines: Annotated[
+        list[Annotated[StrictInt, Field(ge=0)]], Field(min_length=2, max_length=2)
+    ] = Field(
         description="first and last line of the section in the program, such as "
         "[120, 180]"
     )

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from ...cutting import AbstractForceLaw
 
 
+# A coefficient so many times the tangential one is none of a metal.
+_LARGE = 1.5
 # Of a shear and of an edge coefficient, by the last letter of its name.
 _UNITS = {"c": (1e6, "N/mm^2"), "e": (1e3, "N/mm")}
 
@@ -103,8 +105,8 @@ class LinearEdgeTable(TomlTable):
         return LinearEdgeLaw(**_arrays(self))
 
     def notes(self, place: str) -> tuple[str, ...]:
-        """Return nothing: explicit coefficients are the user's own."""
-        return ()
+        """Return that a coefficient is large beside the tangential one."""
+        return _large_beside(place, self, ("K_tc", "K_rc", "K_ac"))
 
 
 class KienzleTable(TomlTable):
@@ -161,8 +163,22 @@ class KienzleTable(TomlTable):
         return KienzleLaw(**{"m_r": values["m_t"], "m_a": values["m_t"]} | values)
 
     def notes(self, place: str) -> tuple[str, ...]:
-        """Return nothing: explicit coefficients are the user's own."""
-        return ()
+        """Return that a coefficient is large beside the tangential one."""
+        return _large_beside(place, self, ("K_tc11", "K_rc11", "K_ac11"))
+
+
+def _large_beside(
+    place: str, table: TomlTable, names: tuple[str, ...]
+) -> tuple[str, ...]:
+    """Return which coefficients are larger than the first of them by far."""
+    sizes = {n: np.max(np.abs(np.asarray(getattr(table, n)))) for n in names}
+    first, *others = names
+    return tuple(
+        f"{place} {name}: {sizes[name] / sizes[first]:.3g} times {first}; less than "
+        "that is usual: are they interchanged?"
+        for name in others
+        if sizes[name] > _LARGE * sizes[first]
+    )
 
 
 _NAMES = ("K_tc", "K_rc", "K_ac", "K_te", "K_re", "K_ae")
