@@ -13,11 +13,11 @@ from typing import NamedTuple
 
 import equinox as eqx
 import jax
-import jax.core
 import jax.numpy as jnp
 from jax.typing import DTypeLike
 from jaxtyping import Array, Float, Int
 
+from .._arrays import is_traced
 from ..cutter import AbstractCutter
 from ..numerics import Recomputed
 from ..workpiece import (
@@ -435,25 +435,28 @@ class RemovalHistory(NamedTuple):
         angle, turns = self.cutter.helix_angle, self._helix_turns()
         if not self.cutter.has_helix:
             return 0.5
-        if isinstance(angle, jax.core.Tracer):
+        if is_traced(angle):
             return jnp.where(angle < 0, 0.5 + turns, 0.5)
         return 0.5 + turns if float(angle) < 0 else 0.5
 
     def _helix_turns(self) -> float:
         """Return by how much the helix turns up to the highest edge in stock, in turns.
 
-        Where the angle is traced this is not known, and taken to be one turn: what lies
-        beyond that on a steeper helix is taken to look when the end of that turn does.
+        Where the angle or a size is traced this is not known, and taken to be one turn:
+        what lies beyond that on a steeper helix is taken to look when the end of that
+        turn does.
         """
         cutter, window = self.cutter, self.window
         if not cutter.has_helix:
             return 0.0
-        if isinstance(cutter.helix_angle, jax.core.Tracer):
+        sizes = (window.length, cutter.flute_length, cutter.nominal_radius)
+        if is_traced((cutter.helix_angle, sizes)):
             return 1.0
-        height = window.length or window.sizes[2] * self.spacing
-        height = min(height, cutter.flute_length)
+        # Within a trace, arithmetic of arrays that are known would be traced, too.
+        length, flute_length, radius = (float(size) for size in sizes)
+        height = min(length or window.sizes[2] * self.spacing, flute_length)
         lead = abs(math.tan(float(cutter.helix_angle)))
-        return height * lead / (2 * math.pi * cutter.nominal_radius)
+        return height * lead / (2 * math.pi * radius)
 
     def _wait(self) -> int:
         """Return after how many periods the tooth of a pass has gone around.
