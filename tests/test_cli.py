@@ -235,8 +235,9 @@ def test_examples_load(tmp_path, name, fewest, most):
     job = load_job(examples.copy_example(name, tmp_path))
     assert fewest <= job.path.step_count <= most
     assert job.robot is not None
-    (note,) = job.notes
-    assert "joint_damping: 2.5 times that of the robot's own file, reis_rv" in note
+    damping, chatter = job.notes
+    assert "joint_damping: 2.5 times that of the robot's own file, reis_rv" in damping
+    assert "the end of the cutter chatters" in chatter
     assert job.tooth_period == pytest.approx(3.75e-3)
 
 
