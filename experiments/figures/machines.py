@@ -4,6 +4,7 @@ import dataclasses
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 import diffmill as dm
 from shared import Report, example_job
@@ -37,7 +38,9 @@ def measure(report: Report) -> None:
     _line(report, "chip of the paper, no bottom edges", cloud, without)
 
 
-def _line(report: Report, name: str, job: dm.Job, command: np.ndarray) -> None:
+def _line(
+    report: Report, name: str, job: dm.Job, command: Float[Array, "step 3"]
+) -> None:
     """Say the errors of a command on the machine of a job."""
     found = dm.simulate(job, commanded=command)
     error = 1e6 * np.abs(found.contour_error)[np.asarray(found.is_cutting)]

@@ -33,7 +33,8 @@ def _is_over(
 ) -> Bool[np.ndarray, " step"]:
     """Return the rows in which the cutter is over or in the stock, seen from above."""
     radius, low, high = cutter.nominal_radius, stock.lower, stock.upper
-    return ((tips > low - radius) & (tips < high + radius))[:, :2].all(axis=1)
+    is_beside = (tips > low - radius) & (tips < high + radius)
+    return np.all(is_beside[:, :2], axis=1)
 
 
 def notes(stock: StockPlan, path: Path, cutter: AbstractCutter) -> tuple[str, ...]:
