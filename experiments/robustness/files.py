@@ -12,6 +12,7 @@ import contextlib
 import io
 import pathlib
 import re
+import tempfile
 import traceback
 import warnings
 
@@ -25,16 +26,23 @@ MESHES, ROBOTS = {".stl", ".obj", ".ply"}, {".urdf", ".xml"}
 OTHERS = {".md", ".py", ".dat"}
 
 
-def told(file: pathlib.Path) -> tuple[int, str]:
-    """Return the exit code of the command for a file, and what it says."""
+def told(file: pathlib.Path, folder: pathlib.Path) -> tuple[int, str]:
+    """Return the exit code of the command for a file, and what it says.
+
+    Args:
+        file: The file.
+        folder: Where the command may write what it draws.
+    """
     out = io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(out):
         if file.suffix.lower() in MESHES:
             code = _mesh(file)
         else:
-            command = "robot" if file.suffix.lower() in ROBOTS else "check"
+            words = ["check", str(file)]
+            if file.suffix.lower() in ROBOTS:
+                words = ["robot", str(file), "--out", str(folder), "--force"]
             try:
-                code = cli.main([command, str(file)])
+                code = cli.main(words)
             except SystemExit as end:
                 code = int(end.code or 0)
             except Exception:
@@ -63,16 +71,25 @@ def main() -> None:
     parser.add_argument("folder", type=pathlib.Path)
     parser.add_argument("--words", type=int, default=30, help="of what is said")
     asked = parser.parse_args()
-    for file in sorted(asked.folder.rglob("*")):
-        if not file.is_file() or file.suffix.lower() in OTHERS:
-            continue
-        code, text = told(file)
-        lines = [line.strip() for line in text.splitlines() if line.strip()]
-        telling = [x for x in lines if re.match(r"(note|warning|error|ESCAPE|-)", x)]
-        said = " / ".join(telling or lines[:1]).replace(str(asked.folder), ".")
-        words = said.split()
-        short = " ".join(words[: asked.words]) + (" ..." * (len(words) > asked.words))
-        print(f"| {file.relative_to(asked.folder)} | {code} | {short} |", flush=True)
+    files = [x for x in sorted(asked.folder.rglob("*")) if x.is_file()]
+    with tempfile.TemporaryDirectory() as folder:
+        for file in files:
+            if file.suffix.lower() in OTHERS:
+                continue
+            code, text = told(file, pathlib.Path(folder, "robot"))
+            said = _telling(text).replace(str(asked.folder), ".").split()
+            short = " ".join(said[: asked.words]) + " ..." * (len(said) > asked.words)
+            print(
+                f"| {file.relative_to(asked.folder)} | {code} | {short} |", flush=True
+            )
+
+
+def _telling(text: str) -> str:
+    """Return the notes and faults of what is said, or its first line."""
+    lines = [line.strip() for line in text.splitlines() if line.strip()]
+    # Faults of a list begin with a dash.
+    found = [x for x in lines if re.match(r"(note|warning|error|-)", x)]
+    return " / ".join(found or lines[:1])
 
 
 if __name__ == "__main__":
