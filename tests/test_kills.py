@@ -172,10 +172,9 @@ def test_a_correction_goes_on_from_any_moment_to_the_same_results(tmp_path, name
 
 # A correction that does nothing but write checkpoints.
 WRITES = """
-import sys
+import runpy, sys
 import numpy as np
 from diffmill import correction
-from diffmill.__main__ import run
 
 def correct(job, *, on_checkpoint, resume, **options):
     count = 0 if resume is None else int(resume["count"])
@@ -186,7 +185,7 @@ def correct(job, *, on_checkpoint, resume, **options):
 
 correction.correct = correct
 sys.argv = ["diffmill", "correct", "tiny.toml", "--resume"]
-run()
+runpy.run_module("diffmill", run_name="__main__")
 """
 
 
@@ -261,12 +260,13 @@ def test_a_kill_leaves_a_whole_checkpoint(tmp_path):
 def test_a_command_that_is_still_imported_ends_as_any_other(number):
     # In place of an import that takes a second while the machine is busy.
     code = (
-        "import signal\n"
-        "import diffmill.__main__ as entry\n"
-        "def main():\n"
-        f"    signal.raise_signal({int(number)})\n"
-        "entry.main = main\n"
-        "entry.run()\n"
+        "import runpy, signal, sys\n"
+        "class Importing:\n"
+        "    def find_spec(self, name, *_):\n"
+        "        if name == 'diffmill.cli':\n"
+        f"            signal.raise_signal({int(number)})\n"
+        "sys.meta_path.insert(0, Importing())\n"
+        "runpy.run_module('diffmill', run_name='__main__')\n"
     )
     line = [sys.executable, "-c", code]
     done = subprocess.run(line, capture_output=True, text=True)
