@@ -147,7 +147,7 @@ def drawn(count: int, seed: int) -> tuple[Cut, ...]:
         kind, lines, box = kinds[rng.integers(len(kinds))]
         modes = MODES.format(
             rng.uniform(40, 120, 2),
-            rng.uniform(0.8, 2.5, 2),
+            rng.uniform(0.3, 1.5, 2),
             rng.uniform(0.02, 0.06, 2),
         )
         depth, speed = rng.uniform(0.15, 0.6), rng.uniform(6000, 10000)

@@ -28,6 +28,8 @@ from reporting import Report, store  # noqa: E402
 KICK = 1e-6
 # Rows over which a vibration swings at least once, and until the kick itself is over.
 TURN, OVER = 9, 10
+# What has decayed to this is gone [m].
+ROUNDING = 1e-15
 
 
 def march(
@@ -53,6 +55,7 @@ def march(
     kicked = dm.simulate(dataclasses.replace(job, commanded=command))
     moved = np.asarray(kicked.actual - solution.actual)[:, :2]
     size = maximum_filter1d(np.linalg.norm(moved, axis=1), TURN)
+    size = np.maximum(size, ROUNDING)
     slope = np.polyfit(rows, np.log(size[rows]), 1)[0]
     cut = np.arange(first + OVER, rows[-1])
     way = np.linalg.norm(np.diff(np.asarray(solution.desired), axis=0), axis=1)

@@ -18,11 +18,16 @@ def on_device(rows: Array | np.ndarray) -> Array:
 
 
 def first_rows(tree: _Tree, count: int) -> _Tree:
-    """Return the first of the rows of all arrays, cut on the host.
+    """Return the first of the rows of all arrays, cut on the host unless traced.
 
     A device would compile a slice for each length.
     """
-    cut = lambda x: x if x.shape[0] == count else on_device(np.asarray(x)[:count])
+
+    def cut(x: Array | np.ndarray) -> Array | np.ndarray:
+        if x.shape[0] == count:
+            return x
+        return x[:count] if is_traced(x) else on_device(np.asarray(x)[:count])
+
     return jax.tree.map(cut, tree)
 
 

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Int, PyTree, Shaped
 
+from ._arrays import is_traced
 from ._types import IntScalar
 
 _Tree = TypeVar("_Tree")
@@ -42,7 +43,8 @@ def pad_rows(
     if rows.shape[0] == step_count:
         return rows
     at = np.minimum(np.arange(step_count), rows.shape[0] - 1)
-    return np.asarray(rows)[at]
+    # A device would compile the lookup for each length.
+    return rows[at] if is_traced(rows) else np.asarray(rows)[at]
 
 
 def last_row(step_count: int, row_count: IntScalar | None) -> Int[Array, ""]:

@@ -192,7 +192,7 @@ def _end_mill(
         raise ValueError(f"Argument `teeth` must be at least 1, but is {teeth}.")
     steps = None if pitch is None else _pitch(pitch, teeth)
     has_even_pitch = _is_even(steps, teeth)
-    has_runout = is_traced(runout) or bool(runout != 0)
+    has_runout = _is_set(runout)
     return EndMill(
         diameter=diameter,
         own_corner_radius=corner_radius,
@@ -206,12 +206,18 @@ def _end_mill(
         flute_length=3 * D if flute_length is None else float(flute_length),
         nominal_radius=D / 2,
         nominal_corner_radius=nominal_corner,
-        has_helix=is_traced(helix_angle) or bool(helix_angle != 0),
-        has_dish=is_traced(dish_angle) or bool(dish_angle != 0),
+        has_helix=_is_set(helix_angle),
+        has_dish=_is_set(dish_angle),
         has_runout=has_runout,
         has_even_pitch=has_even_pitch,
         is_plain=kind == "flat" and has_even_pitch and not has_runout,
     )
+
+
+def _is_set(value: RealScalarLike) -> bool:
+    """Return whether a size is not zero, or may not be."""
+    # Within a trace, a comparison of an array that is known would be traced, too.
+    return is_traced(value) or float(value) != 0
 
 
 def _nominal(name: str, value: RealScalarLike, nominal: float | None) -> float:

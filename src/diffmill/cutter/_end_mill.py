@@ -6,7 +6,6 @@ from typing import Literal, TypeAlias
 
 import equinox as eqx
 import jax
-import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import DTypeLike
@@ -411,8 +410,8 @@ class EndMill(AbstractCutter):
 
         Differentiability: smooth in the sizes.
         """
-        is_known = not isinstance(corner_limit, jax.core.Tracer)
-        is_beyond = is_known and not 0 <= corner_limit <= 1.5708
+        is_known = not is_traced(corner_limit)
+        is_beyond = is_known and not 0 <= float(corner_limit) <= 1.5708
         if min(bottom, corner, side) < 0 or is_beyond:
             raise ValueError(
                 "Arguments `bottom`, `corner` and `side` must be at least 0 and "

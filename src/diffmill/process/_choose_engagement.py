@@ -5,9 +5,9 @@ import math
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
-from jax.core import Tracer
 from jaxtyping import Float
 
+from .._arrays import is_traced
 from ..cutter import AbstractCutter
 from ..workpiece import Discs, RemovalWindow, Stock
 from ._engagement.bottom_edge import BottomEdges
@@ -31,6 +31,8 @@ _ANNULI = 4
 # Elements of a corner are shorter than those of a side by this factor: across them
 # the direction of the force changes.
 _CORNER = 0.5
+# Helix angle that is assumed where it is traced: few mills have a steeper one [rad].
+_STEEP = math.pi / 4
 # Elements at least of a corner, per square root of its radius over the height of an
 # element: however shallow the cut, its arc is long.
 _LEAST_CORNER = 5.0
@@ -47,16 +49,18 @@ def default_element_height(
     Args:
         chip: The chip model.
         spacing: Spacing of the rays [m].
-        cutter: The cutter; a helix angle that is traced is not known and left out.
+        cutter: The cutter; a helix angle that is traced is taken to be 45 degrees, so
+            that discs are no higher than those of most helices.
 
     Returns:
         The height [m].
     """
     height = _HEIGHT[chip] * spacing
-    if not cutter.has_helix or isinstance(cutter.helix_angle, Tracer):
+    if not cutter.has_helix:
         return height
     turn = 2 * math.pi / _ANGLES
-    slope = abs(math.tan(float(cutter.helix_angle)))
+    angle = cutter.helix_angle
+    slope = abs(math.tan(_STEEP if is_traced(angle) else float(angle)))
     return min(height, cutter.nominal_radius * turn / slope)
 
 

@@ -38,7 +38,7 @@ class SplineOffsets(eqx.Module):
 
     def __init__(self, step_count: int, time_step: RealScalarLike, knot_spacing: float):
         """Choose the knots; `knot_spacing` is the smallest spacing [s]."""
-        if not (time_step > 0 and knot_spacing > 0):
+        if not (float(time_step) > 0 and knot_spacing > 0):
             raise ValueError(
                 "Arguments `time_step` and `knot_spacing` must be positive, but are "
                 f"{time_step} s and {knot_spacing} s."

@@ -200,7 +200,9 @@ def simulate_process(
         axes: Tool axis from tip to shank, unit vectors, shape (step, 3); +z if not
             given.
         engagement: As of `choose_engagement`; chosen from `angles`, `axial_depth` and
-            `chip` if not given.
+            `chip` if not given. Of a path or a helix angle that is traced neither depth
+            nor steepness is known: what is chosen then is at least as fine, and sums
+            differ by the discretisation unless both calls are given one engagement.
         angles: Samples of the immersion angle per revolution.
         axial_depth: Deepest immersion of the tip below the top of the stock [m].
             Taken from the path if that is not traced, else the height of the stock
