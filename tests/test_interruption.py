@@ -214,7 +214,13 @@ def test_an_interruption_while_a_job_is_read_says_so(job, monkeypatch, capsys):
 
     monkeypatch.setattr(config, "load_job", read)
     assert main(["correct", "job.toml"]) == 1
-    assert "error: interrupted; no results were written" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert said.endswith("error: interrupted; no results were written\n")
+    job.with_name("job-correct.checkpoint").write_bytes(b"kept")
+    assert main(["correct", "job.toml", "--resume"]) == 1
+    said = capsys.readouterr().err
+    kept = job.parent.resolve() / "job-correct.checkpoint"
+    assert f"; what an earlier run left is as it was: {kept}\n" in said
 
 
 @needs_locks

@@ -94,7 +94,7 @@ def run_job(
     # Compiled code leaves the interpreter free to import what comes later.
     importing = threading.Thread(target=_import_later, daemon=True)
     importing.start()
-    with bad_input():
+    with interruption_leaves(lambda: _left_before(results)), bad_input():
         uncached = configure_jax(job_precision(file))
         with progress:
             progress.begin("reading the job")
@@ -114,7 +114,7 @@ def run_job(
     with locked_folder(folder) as unlocked:
         run = _Run(command, job, folder, may_replace, progress)
         if command == "correct":
-            with bad_input():
+            with interruption_leaves(lambda: _left_before(results)), bad_input():
                 if job.output.moves_ends:
                     run.program = JobProgram.of_job(file, allow_outside=allow_outside)
                 run.checkpoint = Checkpoint(folder, job, progress)
@@ -294,6 +294,14 @@ def _surfaces(outcome: Outcome) -> tuple[dict[str, Any], str]:
 def _can_be_written(job: "Job") -> bool:
     """Return whether the formats of a corrected program can say how the tool tilts."""
     return job.path.is_upright or ".ngc" not in job.output.formats
+
+
+def _left_before(results: ResultsFolder) -> str:
+    """Return what an interruption leaves before anything is computed."""
+    parts = (results.path, results.checkpoint)
+    earlier = " and ".join(str(path) for path in parts if path.exists())
+    kept = f"; what an earlier run left is as it was: {earlier}" if earlier else ""
+    return f"no results were written{kept}"
 
 
 def _import_later() -> None:
