@@ -875,6 +875,7 @@ LEFT_OUT = {
         "correction.TipPlant.run",
         "correction.TipPlant.linearised",
         "sim.error_band",
+        "sim.mismatch",
         "sim.run_with_room",
         "sim.sensitivity",
         "sim.stability",

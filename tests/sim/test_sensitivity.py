@@ -20,6 +20,7 @@ from diffmill import (
     process as pr,
     robot as rb,
     sim,
+    simulate,
     toolpath as tp,
     workpiece as wp,
 )
@@ -227,3 +228,24 @@ def test_scaling_reaches_every_parameter_and_no_other(job):
             lambda a, b: bool(np.all(np.asarray(a) == np.asarray(b))), same, job
         )
     )
+
+
+def test_a_mismatch_is_the_run_of_a_scaled_job(job):
+    solution = simulate(job)
+    found = {x.kind: x for x in sim.mismatch(job, solution, 0.2)}
+    others = {"stiffness": ("K x", "K y", "K z"), "force": PAPER_LAW.parameter_names}
+    cuts = np.asarray(solution.is_cutting)
+    for kind, names in others.items():
+        is_off = np.isin(job.parameter_names, names)
+        for factor, left in ((0.8, found[kind].less), (1.2, found[kind].more)):
+            scale = np.where(is_off, math.log(factor), 0.0)
+            run = simulate(job.with_precision().with_scaled(jnp.asarray(scale)))
+            error = np.asarray(run.contour_error)[cuts]
+            assert left == pytest.approx(math.sqrt(np.mean(error**2)), rel=1e-9)
+    # A softer slide is pushed away in proportion, and pushed back a little less.
+    asis = math.sqrt(np.mean(np.asarray(solution.contour_error)[cuts] ** 2))
+    assert found["stiffness"].less / asis == pytest.approx(1 / 0.8, rel=0.05)
+    assert found["force"].more / asis == pytest.approx(1.2, rel=0.05)
+    assert found["force"].worse == found["force"].more
+    with pytest.raises(ValueError, match="share"):
+        sim.mismatch(job, solution, 1.0)

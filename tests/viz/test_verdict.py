@@ -257,6 +257,13 @@ def test_a_shank_in_the_stock_is_not_within_a_tolerance(correction):
     assert summary(without, "verdict").startswith("The shank is in the stock")
 
 
+def test_the_verdict_says_what_is_left_beside_the_model(correction):
+    off = dict(stiffness_off_rms=9.5e-6, force_off_rms=4.9e-6, tolerance_band=1e-3)
+    text = summary(correction.assign_attrs(off), "verdict")
+    assert "stiffness 10 % off the command leaves up to 9.5 um rms" in text
+    assert "force coefficients 10 % off up to 4.9;" in text
+
+
 def test_a_robust_command_is_judged_over_its_draws(correction):
     told = dict(
         tolerance_band=1e-3,

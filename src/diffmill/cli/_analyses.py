@@ -71,6 +71,7 @@ def add_analyses(folder: pathlib.Path, run: FinishedRun, progress: Progress) -> 
             ("contacts", _with_contacts),
             ("stability", _with_stability),
             ("sensitivity", _with_sensitivity),
+            ("other machines", _with_mismatch),
             ("expected error", _with_expected_error),
         ):
             with attempts.at(name):
@@ -181,6 +182,24 @@ def _with_sensitivity(run: FinishedRun, progress: Progress) -> Dataset:
     progress.say("sensitivity: one derivative for each parameter")
     maps = sensitivity(run.job, commanded=np.asarray(run.final.commanded))
     return run.dataset.assign(maps.to_dataset().data_vars)
+
+
+def _with_mismatch(run: FinishedRun, progress: Progress) -> Dataset:
+    """Return the dataset with what the correction leaves beside its model; say it."""
+    from ..sim import mismatch
+
+    if "corrected_case" not in run.dataset.attrs:
+        return run.dataset
+    progress.say("other machines: the command where the model is 10 % off")
+    found = mismatch(run.job, run.final)
+    lines = [
+        f"with 10 % less or more {x.kind} than in the model the command leaves "
+        f"{1e6 * x.less:.3g} or {1e6 * x.more:.3g} um rms"
+        for x in found
+    ]
+    told = {f"{x.kind}_off_rms": x.worse for x in found}
+    said = _said(lines, progress)
+    return _with_notes(run.dataset.assign_attrs(told), said)
 
 
 def _with_expected_error(run: FinishedRun, progress: Progress) -> Dataset:

@@ -12,7 +12,7 @@ base is tilted. A wrench is external, acts on the robot at the tool's origin in 
 axes, linear part first; Jacobian and compliance are written likewise.
 """
 
-from ._algebra.rotations import rpy_angles as rpy_angles, rpy_matrix as rpy_matrix
+from ._algebra.rotations import rpy_matrix as rpy_matrix
 from ._control.controller import Controller as Controller
 from ._dynamics.crba import mass_matrix as mass_matrix
 from ._dynamics.energy import mechanical_energy as mechanical_energy

@@ -11,7 +11,8 @@ What moves the tool is a machine: `Rigid`, `QuasiStaticArm`, `ElasticArm`, or on
 by its modes at the tool tip, `ModalMachine`; its `run` moves it along a command,
 `run_segment` from where another run ended. Beside it: the arm without load
 (`free_motion`); whether vibrations grow (`stability`); what each parameter does
-(`sensitivity`); what a run did within its periods (`Replay`); where the holder is
+(`sensitivity`); what a command leaves where stiffness or forces are not those of the
+model (`mismatch`); what a run did within its periods (`Replay`); where the holder is
 (`ToolContacts.along`).
 
 The cutting process, which knows no robot, is `diffmill.process`.
@@ -27,6 +28,7 @@ from ._analysis.collisions import (
     ToolContacts as ToolContacts,
 )
 from ._analysis.error_band import error_band as error_band
+from ._analysis.mismatch import mismatch as mismatch
 from ._analysis.sensitivity import sensitivity as sensitivity
 from ._analysis.stability import (
     Stability as Stability,

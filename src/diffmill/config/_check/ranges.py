@@ -17,13 +17,14 @@ class _Range(NamedTuple):
 
 _SPEED = _Range("0.01 mm/s", "2 m/s", q.SPEED)
 _FAST = _Range("1 mm/s", "5 m/s", q.SPEED)
-_ACCELERATION = _Range("0.01 m/s^2", "100 m/s^2", q.ACCELERATION)
+_ACCELERATION = _Range("0.01 m/s^2", "30 m/s^2", q.ACCELERATION)
 _RAMP = _Range("0.1 ms", "5 s", q.TIME)
 _DELAY = _Range("0.1 ms", "0.5 s", q.TIME)
-_CYCLE = _Range("0.02 ms", "0.2 s", q.TIME)
+_CYCLE = _Range("0.1 ms", "0.2 s", q.TIME)
 _MODE = _Range("0.5 Hz", "20 kHz", q.FREQUENCY)
-_SERVO = _Range("0.1 Hz", "5 kHz", q.FREQUENCY)
+_SERVO = _Range("0.1 Hz", "1 kHz", q.FREQUENCY)
 _PLACE = _Range("0 m", "20 m", q.LENGTH)
+_BLOCK = _Range("0 m", "5 m", q.LENGTH)
 _REACH = _Range("0 m", "3 m", q.LENGTH)
 _LENGTH = _Range("0.1 mm", "1 m", q.LENGTH)
 _WIDTH = _Range("0.05 mm", "300 mm", q.LENGTH)
@@ -51,11 +52,11 @@ _USUAL: dict[str, tuple[_Range, ...]] = {
     "spindle.speed": (_Range("20 rpm", "200000 rpm", q.ANGULAR_SPEED),),
     "force.K_tc": (_Range("10 N/mm^2", "50000 N/mm^2", q.PRESSURE),),
     "force.K_c": (_Range("0.1 N/mm^2", "50000 N/mm^2", q.PRESSURE),),
-    "force.K_e": (_Range("0.01 N/mm", "300 N/mm", q.EDGE_FORCE),),
+    "force.K_e": (_Range("0.01 N/mm", "150 N/mm", q.EDGE_FORCE),),
     "force.reference_thickness": (_Range("1 um", "10 mm", q.LENGTH),),
     "force.least_thickness": (_Range("0.001 um", "0.1 mm", q.LENGTH),),
-    "stock.lower": (_PLACE,),
-    "stock.upper": (_PLACE,),
+    "stock.lower": (_BLOCK,),
+    "stock.upper": (_BLOCK,),
     "stock.spacing": (_Range("2 um", "20 mm", q.LENGTH),),
     "program.feed": (_SPEED,),
     "program.rapid_feed": (_FAST,),

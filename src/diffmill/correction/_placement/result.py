@@ -1,6 +1,7 @@
 """A place of the workpiece in the cell, as it is reported and judged."""
 
 import dataclasses
+import warnings
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -8,7 +9,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..._job import Job
-from ...robot import rpy_angles
 from .objective import across, path_tangents, whole_path
 
 # A joint that turns by more than this between two rows [rad] changes configuration.
@@ -93,8 +93,13 @@ def rms_across(job: Job, force: Float[Array, "step 3"]) -> float:
 
 def _pose_text(T: Float[np.ndarray, "4 4"]) -> str:
     """Return a pose as a job file has it, to a nanometre and 1e-9 degrees."""
+    from scipy.spatial.transform import Rotation
+
     # Adding 0 makes a rounded -0 a plain 0.
     position = [f'"{round(1e3 * x, 6) + 0.0:.10g} mm"' for x in T[:3, 3].tolist()]
-    angles = np.rad2deg(rpy_angles(T[:3, :3])).tolist()
-    rpy = [f'"{round(x, 9) + 0.0:.12g} deg"' for x in angles]
+    with warnings.catch_warnings():
+        # Where roll and yaw turn about one axis, one of them is taken to be 0.
+        warnings.filterwarnings("ignore", "Gimbal lock")
+        angles = Rotation.from_matrix(T[:3, :3]).as_euler("xyz", degrees=True)
+    rpy = [f'"{round(x, 9) + 0.0:.12g} deg"' for x in angles.tolist()]
     return f"{{ position = [{', '.join(position)}], rpy = [{', '.join(rpy)}] }}"

@@ -36,29 +36,6 @@ def rpy_matrix(
     )
 
 
-def rpy_angles(
-    rotation: Float[Array, "3 3"] | Float[np.ndarray, "3 3"],
-) -> tuple[float, float, float]:
-    """Return roll, pitch and yaw of R = Rz(yaw) Ry(pitch) Rx(roll), on the host.
-
-    Args:
-        rotation: Rotation matrix, shape (3, 3).
-
-    Returns:
-        Angles [rad], pitch within +-pi/2.
-
-    **Differentiability**: none; the inverse of `rpy_matrix`.
-    """
-    R = np.asarray(rotation, np.float64)
-    pitch = np.arctan2(-R[2, 0], np.hypot(R[0, 0], R[1, 0]))
-    yaw = np.arctan2(R[1, 0], R[0, 0])
-    # From Rz(-yaw) R, which is right for any yaw: where yaw and roll turn about one
-    # axis, yaw is rounding, and roll makes up for it.
-    c, s = np.cos(yaw), np.sin(yaw)
-    roll = np.arctan2(s * R[0, 2] - c * R[1, 2], c * R[1, 1] - s * R[0, 1])
-    return float(roll), float(pitch), float(yaw)
-
-
 def rotation_between(
     target: Float[Array, "3 3"], actual: Float[Array, "3 3"]
 ) -> Float[Array, " 3"]:

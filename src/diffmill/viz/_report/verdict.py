@@ -113,8 +113,9 @@ def verdict(dataset: "xarray.Dataset", *, is_complete: bool = True) -> Verdict:
     text += f"{MICROMETRE}{_place(dataset, case)}."
     expected = dataset.attrs.get("expected_contour_error_rms_m")
     model = _over_draws(dataset, case) or (
-        " All of it is predicted for a machine that is exactly as modelled; "
-        "[simulation] scatter or [correction.uncertainty] tell of one that is not."
+        " All of it is predicted for a machine that is exactly as modelled"
+        f"{_beside_model(dataset)}; [simulation] scatter or [correction.uncertainty] "
+        "tell of one that is not."
     )
     deepest = _deepest(dataset, case)
     deep = (
@@ -235,6 +236,18 @@ def _over_draws(dataset: "xarray.Dataset", case: str) -> str:
     return (
         f" Over the {count:.0f} draws of [correction.uncertainty] it leaves "
         f"{least:.3g} to {largest:.3g} {MICROMETRE} rms, as the optimiser weights it."
+    )
+
+
+def _beside_model(dataset: "xarray.Dataset") -> str:
+    """Return what the command leaves where stiffness or forces are 10 % off."""
+    names = ("stiffness_off_rms", "force_off_rms")
+    if any(name not in dataset.attrs for name in names):
+        return ""
+    stiffness, force = (1e6 * float(dataset.attrs[name]) for name in names)
+    return (
+        f", where with all stiffness 10 % off the command leaves up to {stiffness:.3g} "
+        f"{MICROMETRE} rms, with all force coefficients 10 % off up to {force:.3g}"
     )
 
 
