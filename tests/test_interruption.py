@@ -286,9 +286,9 @@ def test_an_interruption_waits_until_files_have_their_names(tmp_path, monkeypatc
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
-@pytest.mark.parametrize("has_checkpoint", [False, True])
+@pytest.mark.parametrize("kept", ["", "job-correct.checkpoint", "previous"])
 def test_a_run_killed_in_its_figures_goes_on_into_its_own_results(
-    job, monkeypatch, capsys, has_checkpoint
+    job, monkeypatch, capsys, kept
 ):
     resumed = []
     correct_by(monkeypatch, lambda keep: signal.raise_signal(signal.SIGINT))
@@ -296,12 +296,31 @@ def test_a_run_killed_in_its_figures_goes_on_into_its_own_results(
         correct_by(patch, lambda keep: keep(FOUND) or signal.raise_signal(2))
         assert main(["correct", "job.toml"]) == 1
     write(job.with_name("job-correct"), lambda folder: None)
-    if not has_checkpoint:
-        job.with_name("job-correct.checkpoint").unlink()
+    checkpoint = job.with_name("job-correct.checkpoint")
+    if not kept:
+        checkpoint.unlink()
+    if kept == "previous":
+        # Killed while another one got its name.
+        checkpoint.rename(f"{checkpoint}.previous")
     correct_by(monkeypatch, resumed.append)
     assert main(["correct", "job.toml", "--resume"]) == 2
-    assert ("not empty" in capsys.readouterr().err) != has_checkpoint
-    assert len(resumed) == has_checkpoint
+    assert ("not empty" in capsys.readouterr().err) != bool(kept)
+    assert len(resumed) == bool(kept)
+
+
+def test_an_interruption_waits_until_a_checkpoint_has_its_name(tmp_path, monkeypatch):
+    file = io.CheckpointFile(tmp_path / "run.checkpoint", "job")
+    file.write(FOUND)
+    replace = os.replace
+
+    def interrupt(source, target):
+        replace(source, target)
+        signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(os, "replace", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        file.write(FOUND)
+    assert names(tmp_path) == ["run.checkpoint", "run.checkpoint.previous"]
 
 
 @pytest.fixture

@@ -155,7 +155,8 @@ class ResultsFolder(NamedTuple):
 
     def has_unfinished_run(self) -> bool:
         """Return whether the results are of a run that has not finished its figures."""
-        return self.checkpoint.exists() and bool(self._manifest())
+        kept = (self.checkpoint, previous_of(self.checkpoint))
+        return any(file.exists() for file in kept) and bool(self._manifest())
 
     def write(self, fill: Fill, *, force: bool = False) -> None:
         """Write a folder of files, all of them or nothing.
@@ -279,11 +280,12 @@ def write_whole(
             os.fsync(handle)
         # A temporary file is private to its owner; a result is like any other file.
         os.chmod(part, 0o666 & ~_umask())
-        if previous is not None:
-            # Another writer may have renamed it already.
-            with contextlib.suppress(FileNotFoundError):
-                os.replace(file, previous)
-        os.replace(part, file)
+        with _uninterrupted():
+            if previous is not None:
+                # Another writer may have renamed it already.
+                with contextlib.suppress(FileNotFoundError):
+                    os.replace(file, previous)
+            os.replace(part, file)
         _flush_folder(file.parent)
     except OSError as error:
         raise OSError(error.errno, error.strerror, str(file)) from error
@@ -291,6 +293,11 @@ def write_whole(
         if part is not None:
             with contextlib.suppress(OSError):
                 os.unlink(part)
+
+
+def previous_of(file: pathlib.Path) -> pathlib.Path:
+    """Return the name that a file's earlier version is kept under."""
+    return sibling(file, ".previous")
 
 
 def sibling(path: pathlib.Path, suffix: str) -> pathlib.Path:

@@ -18,14 +18,13 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from jaxtyping import Shaped
 
-from .._results_folder import sibling, write_whole
+from .._results_folder import previous_of, write_whole
 
 Arrays: TypeAlias = Mapping[str, Shaped[np.ndarray, "..."]]
 
 _MAGIC, _VERSION = b"diffmill-checkpoint", 3
 # Longest first line that is looked at.
 _LONGEST = 200
-_PREVIOUS = ".previous"
 # Names that the file adds to the arrays, which themselves never begin with a dot.
 _JOB, _MADE_BY = ".job", ".made_by"
 _PACKAGES = (
@@ -90,7 +89,7 @@ class CheckpointFile(NamedTuple):
     @property
     def previous(self) -> pathlib.Path:
         """The file that holds the checkpoint before."""
-        return sibling(self.path, _PREVIOUS)
+        return previous_of(self.path)
 
     def exists(self) -> bool:
         """Return whether a checkpoint, or the one before it, is there."""
