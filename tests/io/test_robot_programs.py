@@ -411,6 +411,8 @@ H = "PTP {X 0,Y 0,Z 0,A 0,B 0,C 180}"
         (".apt", "PARTNO/A\nTLAXIS/0,1\n", 2),
         (".apt", "FEDRAT/9\nCYCLE/DRILL,RAPTO,3,FEDTO,0\nGOTO/1,2,3\n", 2),
         (".apt", "FEDRAT/9\nCYCLE/DRILL,RAPTO,3,FEDTO,5,MMPR,0.1\nGOTO/1,2,3\n", 2),
+        (".apt", "FEDRAT/9\nCYCLE/DRILL,RAPTO,3,FEDTO,5,ORIENT,9\nGOTO/1,2,3\n", 2),
+        (".apt", "MODE/INCR\nGOTO/1,2,4\n", 1),
         (".apt", "GOTO/1,2,4\nCSYS/1,0,0,5,0,1,0,0,0,0,1,0\nGOTO/1,2,3\n", 2),
     ],
 )

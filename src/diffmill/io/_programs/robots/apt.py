@@ -28,6 +28,8 @@ _QUIET = frozenset(
 _TEXT = re.compile(r"\s*(?:PARTNO|PPRINT|REMARK|INSERT|TPRINT)\b", re.IGNORECASE)
 _DRILLS = frozenset(["DRILL", "FACE", "CDRILL", "SPOT"])
 _DEEP = frozenset(["DEEP", "DEEP2"])
+# What else a cycle may say.
+_OF_CYCLES = frozenset(["FEDTO", "RAPTO", "RTRCTO", "AUTO", "DWELL", "REV"])
 # Some systems write them as coordinates below the point, with a minus.
 _DEPTHS = ("FEDTO", "1STPECK", "SUBPECK")
 # How far above the last depth a peck goes by rapid [m]: the program does not say.
@@ -207,6 +209,8 @@ def _carry_out(statement: _Statement, reader: _Apt) -> None:
         _cycle(row, parts, line, reader)
     elif word in _FRAMES:
         _set_frame(word, row, parts, line, reader)
+    elif word == "MODE" and "INCR" in parts:
+        reader.refuse(line, row, "points as distances are not supported.")
     elif word == "CUTCOM":
         sentence = "the points are taken to be those of the tool's centre"
         reader.out.note(word, sentence, line)
@@ -390,6 +394,10 @@ def _cycle(row: str, parts: list[str], line: int, reader: _Apt) -> None:
             words[word] = -words[word]
             sentence = "is negative, and taken as so far below the point"
             reader.out.note(word, sentence, line)
+    known = {*_OF_CYCLES, *_DEPTHS, *_FEED_UNITS, *_FEEDS_OF_TURN}
+    for word in parts[1:]:
+        if not (_is_number(word) or word in known):
+            reader.refuse(line, row, f"{word} of a cycle is not supported.")
     for unit in _FEEDS_OF_TURN:
         if unit in words:
             reader.refuse(line, row, "a feed per turn is not supported in a cycle.")
