@@ -7,7 +7,15 @@ import pathlib
 import subprocess
 import sys
 
-from fuzz.readers import READERS, SEEDS, copy_seeds, mutant_of, shares_of
+import pytest
+from fuzz.readers import (
+    READERS,
+    SEEDS,
+    copy_seeds,
+    escape_of,
+    mutant_of,
+    shares_of,
+)
 
 ROOT = pathlib.Path(__file__).parents[2]
 
@@ -22,6 +30,13 @@ def test_every_seed_is_read(tmp_path):
 def test_a_mutant_is_known_by_its_number():
     assert mutant_of("pocket.ngc", 3) == mutant_of("pocket.ngc", 3)
     assert len({mutant_of("pocket.ngc", number) for number in range(100)}) > 90
+
+
+# Those that escaped once, beyond the first thousand.
+@pytest.mark.parametrize(("seed", "number"), [("force.csv", 281)])
+def test_an_escape_is_refused(tmp_path, seed, number):
+    copy_seeds(tmp_path)
+    assert escape_of(seed, number, tmp_path) is None
 
 
 def test_a_thousand_mutants_are_read_or_refused(tmp_path):

@@ -98,6 +98,12 @@ def timeline(
             )
             return None
         instants = _rebuilt(instants, is_after_gap, rate, notes)
+    if not np.all(np.diff(instants) > 0):
+        faults.append(
+            "stamps of the time are out of place, so that rows cannot be put in order; "
+            "give the rate and set the channel time to None, or name another column."
+        )
+        return None
     uneven = float(np.std(np.diff(instants)[~is_after_gap[1:]])) / step
     if uneven > _UNEVEN:
         notes.append(
