@@ -111,6 +111,11 @@ def test_faults_of_a_mesh_are_listed_with_the_others(write):
         (BOX + 'mesh = "a.stl"\n' + SPACING, "found lower and upper, mesh; only one"),
         ('mesh = "a.stl"\nresult = "b"\n' + SPACING, "found mesh, result; only one"),
         (SPACING, "lower: found nothing, but it is required: three lengths"),
+        (
+            'lower = ["0 mm", "-1e6 mm", "0 mm"]\n'
+            'upper = ["9 mm", "9 mm", "9 mm"]\n' + SPACING,
+            "lower: found 0, -1000, 0 m; at most 100 m is allowed",
+        ),
         ('lower = ["0 mm", "0 mm", "0 mm"]\n' + SPACING, "upper: found nothing"),
         (BOX, "spacing: found nothing, but it is required"),
         ('mesh = "part.ngc"\n', "spacing: found nothing"),

@@ -8,7 +8,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ...workpiece import Stock, StockFileError, StockMemory, box, from_mesh, load_stock
+from ...workpiece import (
+    Mesh,
+    Stock,
+    StockFileError,
+    StockMemory,
+    box,
+    from_mesh,
+    load_stock,
+)
 from .context import FileContext
 from .._schema.job import StockTable
 
@@ -104,6 +112,13 @@ def _block(
             )
     if table.lower is None or table.upper is None:
         return None
+    for key in ("lower", "upper"):
+        corner = getattr(table, key)
+        if max(map(abs, corner)) > Mesh.FARTHEST:
+            far = ", ".join(f"{x:g}" for x in corner)
+            problems.append(
+                f"[stock] {key}: found {far} m; at most {Mesh.FARTHEST:g} m is allowed"
+            )
     for axis, low, high in zip("xyz", table.lower, table.upper, strict=True):
         if high <= low:
             problems.append(

@@ -1,6 +1,7 @@
 """A closed surface of triangles, and what can be wrong with one."""
 
 import math
+from typing import ClassVar
 
 import equinox as eqx
 import numpy as np
@@ -10,8 +11,6 @@ from .signed_distance import SignedDistance
 
 # A volume so small of the box around a mesh is none.
 _FLAT = 1e-9
-# Largest coordinate of a part [m]; what is further away has another unit.
-_FARTHEST = 100.0
 # A point so close to a triangle, in sizes of it, is on it.
 _IN_PLANE = 1e-6
 
@@ -23,8 +22,10 @@ class Mesh(eqx.Module):
         vertices: Corners in `work` [m], shape (vertex, 3).
         faces: Corners of each triangle, counter-clockwise from outside,
             shape (face, 3).
+        FARTHEST: Largest coordinate of a part [m]; larger ones have another unit.
     """
 
+    FARTHEST: ClassVar[float] = 100.0
     vertices: Float[np.ndarray, "vertex 3"]
     faces: Int[np.ndarray, "face 3"]
 
@@ -141,10 +142,10 @@ def vertex_fault(mesh: Mesh) -> str | None:
         count = int((~np.isfinite(mesh.vertices)).any(axis=1).sum())
         return f"found {count} vertices that are not finite"
     farthest = float(np.abs(mesh.vertices).max(initial=0.0))
-    if farthest > _FARTHEST:
+    if farthest > Mesh.FARTHEST:
         return (
-            f"found a vertex {farthest:g} m from the origin; at most {_FARTHEST:g} m "
-            "are allowed"
+            f"found a vertex {farthest:g} m from the origin; at most "
+            f"{Mesh.FARTHEST:g} m are allowed"
         )
     return None
 
