@@ -20,7 +20,7 @@ class ThroughSamples(process.AbstractAdjoint):
     def removal_poses(self, poses):
         return poses
 
-    def tied_to(self, track, raw):
+    def with_pose_derivatives(self, track, raw):
         del track, raw
 
 

@@ -129,7 +129,7 @@ def path_feed():
     return dt.PathFeed.of_path(path)
 
 
-class Late(eqx.Module):
+class Delayed(eqx.Module):
     """A plant that is pushed aside."""
 
     push: Any
@@ -140,14 +140,16 @@ class Late(eqx.Module):
 
 def late(parameters, command):
     del parameters
-    return Late(jnp.asarray(1e-3))(command)
+    return Delayed(jnp.asarray(1e-3))(command)
 
 
 @functools.cache
 def problem():
     x = np.linspace(0, 20e-3, 40)
     path = np.column_stack([x, 2 * x**2, 0 * x])
-    return as_arrays(dc.Problem(Late(jnp.asarray(1e-3)), path, path, np.ones(40), 4e-3))
+    return as_arrays(
+        dc.Problem(Delayed(jnp.asarray(1e-3)), path, path, np.ones(40), 4e-3)
+    )
 
 
 @functools.cache
@@ -167,7 +169,8 @@ def residual():
 def cut(known, path):
     """Return the forces along a path; what cuts is sampled as of a known mill."""
     sampling = pr.choose_engagement(block(), mill(), axial_depth=1e-3, angles=24)
-    run = ds.simulate_process(path, *known, SPEED, engagement=sampling)
+    stock, cutter, law = known
+    run = ds.simulate_process(path, stock, cutter, law, SPEED, engagement=sampling)
     return run.force
 
 
@@ -219,7 +222,9 @@ CALLS: dict[str, Callable[[], Call]] = {
     "numerics.ramp": lambda: Call(
         lambda width, x: nm.ramp(x, width), jnp.asarray(0.5), (rows(5),)
     ),
-    "numerics.hold": lambda: Call(lambda _, x: nm.hold(x), None, (rows(5),)),
+    "numerics.materialise": lambda: Call(
+        lambda _, x: nm.materialise(x), None, (rows(5),)
+    ),
     "numerics.small_inverse": lambda: Call(
         lambda _, A: nm.small_inverse(A @ A.T + jnp.eye(3)), None, (rows(3, 3),)
     ),
@@ -228,15 +233,17 @@ CALLS: dict[str, Callable[[], Call]] = {
         rows(5),
         (rows(5),),
     ),
-    "numerics.Few.sum": lambda: Call(lambda _, x: nm.Few.sum(x), None, (rows(3, 4),)),
-    "numerics.Few.copies": lambda: Call(
-        lambda _, x: nm.Few.copies(x, 3), None, (rows(4),)
+    "numerics.ShortAxis.sum": lambda: Call(
+        lambda _, x: nm.ShortAxis.sum(x), None, (rows(3, 4),)
     ),
-    "numerics.Recomputed.of": lambda: Call(
-        lambda a, x: nm.Recomputed.of(lambda: jnp.sin(a * x))(), rows(4), (rows(4),)
+    "numerics.ShortAxis.copies": lambda: Call(
+        lambda _, x: nm.ShortAxis.copies(x, 3), None, (rows(4),)
     ),
-    "numerics.Recomputed.read": lambda: Call(
-        lambda _, x: nm.Recomputed.read(x), None, (rows(4),)
+    "numerics.Rematerialised.of": lambda: Call(
+        lambda a, x: nm.Rematerialised.of(lambda: jnp.sin(a * x))(), rows(4), (rows(4),)
+    ),
+    "numerics.Rematerialised.read": lambda: Call(
+        lambda _, x: nm.Rematerialised.read(x), None, (rows(4),)
     ),
     "cutter.flat_end_mill": lambda: Call(
         lambda _, D, helix, runout, dish: cutter.flat_end_mill(
@@ -604,7 +611,11 @@ CALLS: dict[str, Callable[[], Call]] = {
         lambda known, tip: (
             wp.RemovalWindow.upright(block(), mill(), 1e-3, 1e-3)
             .remove_poses(
-                *known, wp.Pose(tip), jnp.zeros(1, jnp.int32), jnp.ones(1, bool)
+                known[0],
+                known[1],
+                wp.Pose(tip),
+                jnp.zeros(1, jnp.int32),
+                jnp.ones(1, bool),
             )
             .volume
         ),
@@ -647,9 +658,9 @@ CALLS: dict[str, Callable[[], Call]] = {
         (1 + rows(3, size=0.2),),
         False,
     ),
-    "correction.LatePlant.member": lambda: Call(
+    "correction.DelayedPlant.member": lambda: Call(
         lambda plant, x: plant.member(x)(rows(6, 3, size=1e-3)).actual,
-        dc.LatePlant(late, rows(6, 3, size=1e-4), 4e-3),
+        dc.DelayedPlant(late, rows(6, 3, size=1e-4), 4e-3),
         (jnp.asarray([1e-3]),),
     ),
     "correction.SplineOffsets.offsets": lambda: Call(
@@ -682,8 +693,8 @@ JOBS: dict[str, Callable[[dm.Job], Call]] = {
         job,
         (tips(job),),
     ),
-    "sim.JobKinematics.motors_of": lambda job: Call(
-        lambda job, joints: ds.JobKinematics(job).motors_of(joints),
+    "sim.JobKinematics.motor_positions_from_joints": lambda job: Call(
+        lambda job, joints: ds.JobKinematics(job).motor_positions_from_joints(joints),
         job,
         (ds.JobKinematics(job).joints(tips(job))[0],),
     ),
@@ -876,7 +887,7 @@ LEFT_OUT = {
         "correction.TipPlant.linearised",
         "sim.error_band",
         "sim.mismatch",
-        "sim.run_with_room",
+        "sim.simulate_with_slot_growth",
         "sim.sensitivity",
         "sim.stability",
         "sim.Stability.*",
@@ -893,7 +904,7 @@ LEFT_OUT = {
         "correction.GaussNewton.*",
         "correction.GivenCommand.__call__",
         "correction.*Mirror.__call__",
-        "correction.LatePlant.with_delays",
+        "correction.DelayedPlant.with_delays",
         "correction.LinearLimits.*",
         "correction.PathParts.*",
         "correction.RecedingHorizon.*",
@@ -963,7 +974,7 @@ LEFT_OUT = {
         "workpiece.box",
     ),
     "a search, a filter or a cache of programs on the host": (
-        "numerics.CompiledOnce.*",
+        "numerics.CachedJit.*",
         "numerics.lowpass",
         "robot.configurations",
         "robot.damped_modes",
@@ -976,14 +987,14 @@ LEFT_OUT = {
         "process.EdgeSamples.at",
         "process.Process.*",
         "process.ProcessState.ended",
-        "process.StockHeld.*",
+        "process.FrozenStock.*",
         "process.Through*",
         "robot.Controller.begin",
         "robot.Controller.follow",
         "sim.ElasticArm.*",
         "sim.JobKinematics.motor_slopes",
         "sim.JobKinematics.solve",
-        "sim.JobKinematics.tool_rows",
+        "sim.JobKinematics.tool_command",
         "sim.LinearRun.*",
         "sim.Midpoint.*",
         "sim.ModalMachine.*",

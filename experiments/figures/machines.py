@@ -24,7 +24,7 @@ def measure(report: Report) -> None:
     job = job.with_precision()
     settings = dataclasses.replace(job.simulation, has_bottom=False)
     plain = dataclasses.replace(job, simulation=settings)
-    settings = dataclasses.replace(settings, chip="point_cloud", looks=1)
+    settings = dataclasses.replace(settings, chip="point_cloud", updates_per_period=1)
     cloud = dataclasses.replace(job, simulation=settings)
     report.say("What the corrected command leaves on another machine [um]")
     report.say(f"  {'machine':32}{'rms':>8}{'95 %':>8}{'max':>8}")

@@ -41,7 +41,7 @@ def coupled(report, job, *, has_gradient=False):
     """Print the time of a coupled step in a job's precision, and of its gradient."""
     precision = job.simulation.precision
     # As `simulate` runs it where nothing is differentiated.
-    model = sim.JobModel.of(job, process.StockHeld())
+    model = sim.JobModel.of(job, process.FrozenStock())
     machine, cut = model.machine, model.process
     assert machine is not None
     motors = sim.JobKinematics(job).motors(jnp.asarray(job.path.positions))[0]

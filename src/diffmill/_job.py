@@ -45,7 +45,7 @@ class SimulationSettings(eqx.Module):
         angles: Samples of the immersion angle per revolution; a multiple of teeth x
             substeps.
         substeps: Steps of the robot within one tooth period.
-        looks: How often a tooth period looks up the stock.
+        updates_per_period: Engagement updates of a tooth period.
         element_height: Height dz of a disc of the cutter [m].
         axial_depth: Deepest immersion that the discs reach [m].
         precision: "float64" or "float32".
@@ -87,7 +87,7 @@ class SimulationSettings(eqx.Module):
     stability: Literal["quick", "full", "none"] = eqx.field(
         static=True, default="quick"
     )
-    looks: int = eqx.field(static=True, default=1)
+    updates_per_period: int = eqx.field(static=True, default=1)
     scatter: ScatterSettings | None = None
 
 

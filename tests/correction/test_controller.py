@@ -11,7 +11,7 @@ from slides_job import write_slides_job
 
 from diffmill.config import load_job
 from diffmill.correction import TipPlant, UnsuitableSettings, correct
-from diffmill.process import StockHeld
+from diffmill.process import FrozenStock
 from diffmill.sim import JobKinematics
 
 PROGRAM = """G21 G17 G90 G94
@@ -88,7 +88,7 @@ def slides(tmp_path_factory):
     job = load_job(file).with_precision()
     count = job.path.step_count
     share = 0.2 + 0.6 * np.random.default_rng(1).random(count)
-    plant = TipPlant(job, StockHeld(), share)
+    plant = TipPlant(job, FrozenStock(), share)
     swing = np.sin(0.11 * np.arange(count)[:, None] + np.arange(3)[None])
     return plant, np.asarray(job.path.positions) + 2e-4 * swing
 
@@ -165,7 +165,7 @@ def test_the_linear_system_of_a_piece_goes_through_the_controller(slides):
 
 @pytest.mark.slow
 def test_the_linear_system_goes_through_the_controller(job):
-    plant = TipPlant(job, StockHeld())
+    plant = TipPlant(job, FrozenStock())
     command = jnp.asarray(job.path.positions)
     rng = np.random.default_rng(0)
     change = jnp.asarray(1e-6 * np.cumsum(rng.normal(size=command.shape), axis=0))

@@ -10,9 +10,9 @@ import pytest
 from correction.spring_mass import SpringMass, rounded_square, soft_arm
 
 from diffmill.correction import (
+    DelayedPlant,
     Ensemble,
     GaussNewton,
-    LatePlant,
     Problem,
     delayed,
 )
@@ -126,17 +126,19 @@ def test_what_is_left_over_the_draws_is_told(robust, judged):
 
 def test_delays_cover_their_span_and_leave_the_rest():
     members = draws(5, 3, force=0.1)
-    found = LatePlant.with_delays(members, largest=10e-3, seed=3)
+    found = DelayedPlant.with_delays(members, largest=10e-3, seed=3)
     np.testing.assert_array_equal(found[:, :-1], members)
     # One in each fifth.
     shares = np.sort(found[:, -1]) / 2e-3
     np.testing.assert_array_equal(np.floor(shares), np.arange(5))
-    assert LatePlant.with_delays(members, largest=10e-3, seed=4)[0, -1] != found[0, -1]
+    assert (
+        DelayedPlant.with_delays(members, largest=10e-3, seed=4)[0, -1] != found[0, -1]
+    )
     np.testing.assert_array_equal(
-        LatePlant.with_delays(members, largest=0, seed=3)[:, -1], 0
+        DelayedPlant.with_delays(members, largest=0, seed=3)[:, -1], 0
     )
     with pytest.raises(ValueError, match=r"`largest`.* 0"):
-        LatePlant.with_delays(members, largest=-1e-3, seed=0)
+        DelayedPlant.with_delays(members, largest=-1e-3, seed=0)
 
 
 def test_only_the_offset_of_a_member_is_late(arm, problem):
@@ -144,7 +146,7 @@ def test_only_the_offset_of_a_member_is_late(arm, problem):
     nominal = jnp.asarray(problem.nominal)
     offset = 1e-4 * jnp.asarray(np.sin(np.arange(len(nominal)) / 9.0))[:, None]
     plant = Uncertain(arm)
-    late = LatePlant(plant, problem.nominal, TIME_STEP)
+    late = DelayedPlant(plant, problem.nominal, TIME_STEP)
     parameters = jnp.asarray([*member, 2 * TIME_STEP])
     found = late.member(parameters)(nominal + offset).actual
     shifted = jnp.concatenate([jnp.zeros((2, 1)), offset[:-2]])
@@ -155,8 +157,8 @@ def test_only_the_offset_of_a_member_is_late(arm, problem):
 @pytest.mark.slow
 def test_robust_is_better_where_the_offset_comes_late(arm, problem, judged):
     largest = 20e-3
-    members = LatePlant.with_delays(np.zeros((4, 8)), largest=largest, seed=1)
-    late = LatePlant(Uncertain(arm), problem.nominal, TIME_STEP)
+    members = DelayedPlant.with_delays(np.zeros((4, 8)), largest=largest, seed=1)
+    late = DelayedPlant(Uncertain(arm), problem.nominal, TIME_STEP)
     robust = GaussNewton(30e-3, ensemble=Ensemble(late, members))(problem)
     nominal = GaussNewton(30e-3)(problem)
     as_it_is = np.zeros((1, 8))

@@ -177,10 +177,10 @@ def test_exact_number_of_substeps(write):
 
 
 def test_a_long_tooth_period_looks_up_the_stock_on_its_way(write):
-    assert load_job(write()).simulation.looks == 1
+    assert load_job(write()).simulation.updates_per_period == 1
     # 20 ms, at most 2 ms from look to look.
     job = load_job(write(('"8000 rpm"', '"1500 rpm"')))
-    assert (job.simulation.substeps, job.simulation.looks) == (40, 10)
+    assert (job.simulation.substeps, job.simulation.updates_per_period) == (40, 10)
 
 
 def test_flutes_shorter_than_the_path_is_deep_are_noted(write):

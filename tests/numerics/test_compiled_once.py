@@ -6,13 +6,13 @@ import jax
 import jax.numpy as jnp
 import pytest
 
-from diffmill.numerics import CompiledOnce
+from diffmill.numerics import CachedJit
 
 
 def test_what_is_prepared_is_traced_once_and_by_another_thread():
     traced = []
 
-    @CompiledOnce
+    @CachedJit
     def twice(x):
         traced.append(threading.current_thread())
         return 2 * x
@@ -24,13 +24,13 @@ def test_what_is_prepared_is_traced_once_and_by_another_thread():
 
 
 def test_other_shapes_than_prepared_are_right_too():
-    total = CompiledOnce(lambda x: x.sum())
+    total = CachedJit(lambda x: x.sum())
     total.prepare(jnp.zeros(3))
     assert float(total(jnp.ones(5))) == 5.0
 
 
 def test_what_fails_fails_where_it_is_called():
-    @CompiledOnce
+    @CachedJit
     def fails(x):
         raise RuntimeError("no")
 
@@ -42,15 +42,15 @@ def test_what_fails_fails_where_it_is_called():
 def test_a_call_does_not_wait_for_what_has_not_begun():
     may_end, has_begun = threading.Event(), threading.Event()
 
-    @CompiledOnce
+    @CachedJit
     def slow(x):
         has_begun.set()
         may_end.wait()
         return x
 
-    quick = CompiledOnce(lambda x: x + 1)
+    quick = CachedJit(lambda x: x + 1)
     # As many as there may be threads, so that none is left.
-    blocked = [CompiledOnce(lambda x, _=i: slow(x)) for i in range(64)]
+    blocked = [CachedJit(lambda x, _=i: slow(x)) for i in range(64)]
     for each in blocked:
         each.prepare(jnp.zeros(3))
     has_begun.wait()
@@ -61,7 +61,7 @@ def test_a_call_does_not_wait_for_what_has_not_begun():
 
 
 def test_derivatives_pass_through():
-    square = CompiledOnce(lambda x: x**2)
+    square = CachedJit(lambda x: x**2)
 
     def outer(x):
         square.prepare(x)

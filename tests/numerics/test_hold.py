@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from jax.test_util import check_grads
 
-from diffmill.numerics import Few, hold
+from diffmill.numerics import ShortAxis, materialise
 
 X = jnp.asarray(np.random.default_rng(3).normal(size=(3, 5)))
 
 
 def held(x, y):
-    x, z = hold((jnp.sin(x), x * y))
-    first, second, third = hold(jnp.unstack(x), backward_only=True)
+    x, z = materialise((jnp.sin(x), x * y))
+    first, second, third = materialise(jnp.unstack(x), backward_only=True)
     return first * second + jnp.cos(third) * jnp.sum(z, axis=0)
 
 
@@ -38,7 +38,7 @@ def test_what_is_known_is_held_too_where_a_loop_is_differentiated():
     # JAX looks through a call that returns its arguments.
     def total(x):
         def step(x, _):
-            slope = hold(jax.lax.stop_gradient(jnp.sin(x)))
+            slope = materialise(jax.lax.stop_gradient(jnp.sin(x)))
             return slope * x, None
 
         return jnp.sum(jax.lax.scan(step, x, length=3)[0])
@@ -52,7 +52,7 @@ def test_what_is_known_is_held_too_where_a_loop_is_differentiated():
 def test_what_nobody_uses_of_held_values_is_not_computed():
     def total(x):
         def step(x, _):
-            sine, _ = hold((jnp.sin(x), jnp.tan(x)))
+            sine, _ = materialise((jnp.sin(x), jnp.tan(x)))
             return sine * x, None
 
         return jnp.sum(jax.lax.scan(step, x, length=3)[0])
@@ -62,21 +62,24 @@ def test_what_nobody_uses_of_held_values_is_not_computed():
 
 
 def test_trees_of_anything_are_held():
-    whole, none, rows = jax.jit(lambda x: hold((jnp.arange(3), None, [x])))(X)
+    whole, none, rows = jax.jit(lambda x: materialise((jnp.arange(3), None, [x])))(X)
     assert none is None and whole.dtype == int
     np.testing.assert_array_equal(rows[0], X)
-    assert hold(()) == ()
-    assert isinstance(hold(np.ones(3)), jax.Array)
+    assert materialise(()) == ()
+    assert isinstance(materialise(np.ones(3)), jax.Array)
 
 
 @pytest.mark.parametrize("count", [1, 2, 7])
 def test_a_sum_of_few_and_few_copies(count):
     terms = jnp.asarray(np.random.default_rng(count).normal(size=(count, 2, 4)))
-    np.testing.assert_allclose(Few.sum(terms), jnp.sum(terms, axis=0), rtol=1e-15)
-    copies = Few.copies(terms[0], count)
+    np.testing.assert_allclose(ShortAxis.sum(terms), jnp.sum(terms, axis=0), rtol=1e-15)
+    copies = ShortAxis.copies(terms[0], count)
     np.testing.assert_array_equal(copies, jnp.broadcast_to(terms[:1], terms.shape))
     both = jax.jit(
-        lambda x: Few.sum(jnp.sin(x)) + Few.sum(Few.copies(jnp.square(x[0]), 3))
+        lambda x: (
+            ShortAxis.sum(jnp.sin(x))
+            + ShortAxis.sum(ShortAxis.copies(jnp.square(x[0]), 3))
+        )
     )
     check_grads(both, (terms,), order=2, modes=("fwd", "rev"))
     # Along any axis of a batch.

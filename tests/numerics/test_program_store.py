@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import pytest
 
-from diffmill.numerics import CompiledOnce, clamp, hold
+from diffmill.numerics import CachedJit, clamp, materialise
 
 # A function of the package that is kept; JAX's log says what is traced.
 _CHILD = """
@@ -60,7 +60,7 @@ def programs(tmp_path) -> Iterator[pathlib.Path]:
 
 def test_each_program_is_kept_once(programs):
     for _ in range(2):
-        kept = CompiledOnce(clamp)
+        kept = CachedJit(clamp)
         for value in (0.5, 2.5):
             limits = jnp.asarray(0.0), jnp.asarray(1.0)
             assert float(kept(limits[0], jnp.asarray(value), limits[1])) == min(
@@ -87,7 +87,7 @@ def test_other_sizes_types_constants_and_settings_are_other_programs(programs):
         (x, jnp.sin(x)),
     ]
     for _ in range(2):
-        kept = CompiledOnce(hold)
+        kept = CachedJit(materialise)
         for tree in trees:
             result = kept(tree)
             assert jax.tree.structure(result) == jax.tree.structure(tree)
@@ -95,9 +95,9 @@ def test_other_sizes_types_constants_and_settings_are_other_programs(programs):
             assert jnp.array_equal(first, jax.tree.leaves(tree)[0])
     assert len(list(programs.iterdir())) == len(trees)
     with jax.numpy_dtype_promotion("standard"):
-        CompiledOnce(hold)(x)
+        CachedJit(materialise)(x)
     with jax.default_matmul_precision("float32"):
-        CompiledOnce(hold)(x)
+        CachedJit(materialise)(x)
     assert len(list(programs.iterdir())) == len(trees) + 2
 
 
@@ -105,14 +105,14 @@ def test_what_is_defined_elsewhere_is_not_kept(programs):
     class Mine(eqx.Module):
         x: jax.Array
 
-    assert CompiledOnce(hold)(Mine(jnp.ones(2))).x.tolist() == [1.0, 1.0]
-    assert CompiledOnce(lambda x: 2 * x)(jnp.ones(2)).tolist() == [2.0, 2.0]
+    assert CachedJit(materialise)(Mine(jnp.ones(2))).x.tolist() == [1.0, 1.0]
+    assert CachedJit(lambda x: 2 * x)(jnp.ones(2)).tolist() == [2.0, 2.0]
     assert not programs.exists()
 
 
 def test_nothing_is_kept_where_nothing_can_be_written(programs):
     programs.write_text("a file where the folder should be")
-    assert CompiledOnce(hold)(jnp.ones(2)).tolist() == [1.0, 1.0]
+    assert CachedJit(materialise)(jnp.ones(2)).tolist() == [1.0, 1.0]
 
 
 def test_what_jax_does_not_export_runs_all_the_same(programs):
@@ -123,7 +123,7 @@ def test_what_jax_does_not_export_runs_all_the_same(programs):
         return jax.pure_callback(lambda x: 2 * x, shape, x)
 
     # As if it were one of the package.
-    called_back.__module__ = hold.__module__
+    called_back.__module__ = materialise.__module__
     called_back.__qualname__ = "called_back"
-    assert CompiledOnce(called_back)(jnp.ones(2)).tolist() == [2.0, 2.0]
+    assert CachedJit(called_back)(jnp.ones(2)).tolist() == [2.0, 2.0]
     assert not programs.exists()

@@ -17,7 +17,7 @@ PITCH = (97, 220, 43)
 DELAYS = np.array([PITCH, (317, 263, 140), (360, 360, 360)]) / 120
 
 
-def process_of(pitch, substeps, looks=1):
+def process_of(pitch, substeps, updates_per_period=1):
     """Return the process of a cutter with three teeth."""
     mill = ct.flat_end_mill(
         10e-3, 3, pitch=None if pitch is None else np.radians(pitch)
@@ -28,7 +28,7 @@ def process_of(pitch, substeps, looks=1):
         axial_depth=1e-3,
         angles=3 * substeps,
         substeps=substeps,
-        looks=looks,
+        updates_per_period=updates_per_period,
     )
     return pr.Process(STOCK, mill, PAPER_LAW, 2 * math.pi / (3 * PERIOD), plan)
 
@@ -138,7 +138,7 @@ def test_a_vibrating_tool_is_pushed_as_its_poses_say(pitch):
     def loads(now):
         wrench = jax.vmap(
             lambda samples, pose, earlier: process.engagement.wrench(
-                process, samples, pose, earlier, steps.found.thinned
+                process, samples, pose, earlier, steps.found.decimated
             )
         )(steps.found.samples, middles, process.earlier(recent, now))
         return np.mean(wrench, axis=1)[:, :3]

@@ -258,9 +258,13 @@ def test_a_long_period_looks_up_the_stock_on_its_way():
         [-5.5e-3, 0, -4e-3], [4e-3, 8e-3, 0], 0.25e-3, interval_counts=(6, 6, 1)
     )
 
-    def force(looks):
+    def force(updates_per_period):
         plan = pr.choose_engagement(
-            stock, MILL, axial_depth=3.5e-3, substeps=40, looks=looks
+            stock,
+            MILL,
+            axial_depth=3.5e-3,
+            substeps=40,
+            updates_per_period=updates_per_period,
         )
         cut = process(plan, pr.ThroughPoses(), stock, period=period)
         return jax.jit(lambda p: ARM.run(cut, motors(p)).force)
@@ -282,4 +286,6 @@ def test_a_long_period_looks_up_the_stock_on_its_way():
 
 def test_looks_that_do_not_divide_a_period_are_refused():
     with pytest.raises(ValueError):
-        pr.choose_engagement(STOCK, MILL, axial_depth=1e-3, substeps=8, looks=3)
+        pr.choose_engagement(
+            STOCK, MILL, axial_depth=1e-3, substeps=8, updates_per_period=3
+        )

@@ -65,14 +65,14 @@ ROBOTS = {
 }
 CUTS = {
     "upright": (FLAT, {}),
-    "looks": (FLAT, {"looks": 2}),
+    "looks": (FLAT, {"updates_per_period": 2}),
     "bottom": (FLAT, {"plunges": True}),
     "helix": (HELIX, {}),
     "in space": (FLAT, {"is_upright": False}),
     "cloud": (FLAT, {"chip": "point_cloud"}),
     # The teeth are two periods apart, then less than one.
     "uneven": (UNEVEN, {}),
-    "uneven, looks": (UNEVEN, {"looks": 2}),
+    "uneven, looks": (UNEVEN, {"updates_per_period": 2}),
 }
 
 
@@ -89,7 +89,7 @@ def model(kind, cut):
         PAPER_LAW,
         math.pi / PERIOD,
         engagement,
-        derivative=pr.StockHeld(),
+        derivative=pr.FrozenStock(),
     )
     theta = motors()
     if kind == "modes":

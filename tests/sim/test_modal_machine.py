@@ -27,7 +27,7 @@ def process(substeps):
         PAPER_LAW,
         math.pi / PERIOD,
         engagement,
-        derivative=pr.StockHeld(),
+        derivative=pr.FrozenStock(),
     )
 
 

@@ -107,7 +107,7 @@ def test_maps_agree_with_differences(job, maps):
     @jax.jit
     def tip(log_scale):
         scaled = job.with_scaled(log_scale)
-        motors = sim.JobKinematics(scaled).motors_of(joints)
+        motors = sim.JobKinematics(scaled).motor_positions_from_joints(joints)
         return sim.JobModel.of(scaled, pr.ThroughPoses()).run(motors).actual
 
     zero = np.zeros(len(maps.names))
@@ -153,7 +153,7 @@ def test_the_band_of_a_stiffness_adds_to_the_error(job):
     )
     # The controller goes on by the stiffness that it knows.
     assert solution.motor_positions is not None
-    ran = sim.JobModel.of(softer, pr.StockHeld()).run(solution.motor_positions)
+    ran = sim.JobModel.of(softer, pr.FrozenStock()).run(solution.motor_positions)
     moved = np.asarray(ran.actual - solution.actual)
     moved = (moved - moved[0])[:, 2]
     known = np.sum(band.shift, axis=0)[:, 2]
@@ -202,10 +202,14 @@ def test_of_a_force_its_coefficients_scatter_and_nothing_else(job):
 
 
 def test_a_look_is_no_single_sub_step(job):
-    for looks in (3, 4):
-        with pytest.raises(ValueError, match="looks"):
+    for updates_per_period in (3, 4):
+        with pytest.raises(ValueError, match="updates_per_period"):
             pr.choose_engagement(
-                job.stock, job.cutter, axial_depth=1e-3, substeps=4, looks=looks
+                job.stock,
+                job.cutter,
+                axial_depth=1e-3,
+                substeps=4,
+                updates_per_period=updates_per_period,
             )
 
 

@@ -91,7 +91,7 @@ def cut_block(spacing):
         cut = window.remove_poses(
             stock, MILL, wp.Pose(tip[None]), pose[None], jnp.ones(1, bool)
         )
-        return cut.stock, (cut.volume[0], cut.has_overflow | cut.is_beyond)
+        return cut.stock, (cut.volume[0], cut.has_overflow | cut.has_left_window)
 
     tips = np.zeros((60, 3))
     tips[:, 0] = np.linspace(-3e-3, 8e-3, 60)
@@ -149,9 +149,9 @@ def test_a_tool_deeper_than_its_window_raises_the_flag():
     window = wp.RemovalWindow.upright(stock, MILL, 0.4e-3, 0.2e-3)
     tip = jnp.array([[4e-3, 4e-3, -3e-3]])
     yes, pose = jnp.ones(1, bool), jnp.zeros(1, jnp.int32)
-    assert window.remove_poses(stock, MILL, wp.Pose(tip), pose, yes).is_beyond
+    assert window.remove_poses(stock, MILL, wp.Pose(tip), pose, yes).has_left_window
     away = wp.Pose(tip + 10.0)
-    assert not window.remove_poses(stock, MILL, away, pose, yes).is_beyond
+    assert not window.remove_poses(stock, MILL, away, pose, yes).has_left_window
 
 
 @pytest.mark.parametrize(("at", "misses"), [(4.1e-3, False), (5.7e-3, True)])
@@ -161,9 +161,9 @@ def test_a_second_pose_that_reaches_out_of_the_window_raises_the_flag(at, misses
     tips = wp.Pose(jnp.array([[4e-3, 4e-3, -1e-3], [at, 4e-3, -1e-3]]))
     poses = jnp.arange(2, dtype=jnp.int32)
     cut = window.remove_poses(stock, MILL, tips, poses, jnp.ones(2, bool))
-    assert cut.is_beyond == misses
+    assert cut.has_left_window == misses
     first = window.remove_poses(stock, MILL, tips, poses, jnp.array([True, False]))
-    assert not first.is_beyond
+    assert not first.has_left_window
 
 
 @pytest.mark.parametrize("at", [6.1e-3, 13.9e-3])
@@ -176,6 +176,6 @@ def test_a_tool_wider_than_its_window_raises_the_flag(at):
         mill = ct.flat_end_mill(diameter, 2, nominal_diameter=4e-3)
         window = wp.RemovalWindow.upright(stock, mill, 1e-3, 0.1e-3)
         cut = window.remove_poses(stock, mill, pose, index, yes)
-        assert cut.is_beyond == misses
+        assert cut.has_left_window == misses
         exact = np.pi / 4 * diameter**2 * 1e-3
         assert misses == (cut.volume[0] < 0.98 * exact)

@@ -71,10 +71,10 @@ def _run_time(job: "Job") -> float:
 
 def _row_time(job: "Job") -> float:
     """Return the time of a row [ms]."""
-    from ..process import EdgeElementsInSpace, StockHeld
+    from ..process import EdgeElementsInSpace, FrozenStock
     from ..sim import JobModel
 
-    engagement = JobModel.of(job.with_precision(), StockHeld()).process.engagement
+    engagement = JobModel.of(job.with_precision(), FrozenStock()).process.engagement
     rays = 2 * job.cutter.nominal_radius / job.stock.spacing
     if not isinstance(engagement, EdgeElementsInSpace):
         discs = engagement.discs.count

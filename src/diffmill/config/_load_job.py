@@ -42,8 +42,8 @@ from ._check.modes import (
     check_modes,
     check_sag,
     counting_modes,
-    default_looks,
     default_substeps,
+    default_updates,
 )
 from ._check.notes import immersion, notes, rate_notes
 from ._check.ranges import range_notes
@@ -589,7 +589,9 @@ def _simulation(
         integrator=table.integrator,
         dynamics=table.dynamics,
         mode=table.mode,
-        looks=default_looks(period, substeps) if table.chip == "near_far" else 1,
+        updates_per_period=default_updates(period, substeps)
+        if table.chip == "near_far"
+        else 1,
         has_sensitivity=table.sensitivity,
         stability=_stability(table.stability),
         scatter=None

@@ -51,8 +51,8 @@ from ._job.residual import residual as residual
 from ._method.adam import Adam as Adam
 from ._method.delay import delayed as delayed
 from ._method.ensemble import (
+    DelayedPlant as DelayedPlant,
     Ensemble as Ensemble,
-    LatePlant as LatePlant,
 )
 from ._method.gauss_newton import GaussNewton as GaussNewton
 from ._method.input_shaper import shaped as shaped

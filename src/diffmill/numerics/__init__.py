@@ -4,12 +4,11 @@ What it models: `lowpass`, a Butterworth filter run forward and backward, which 
 the tooth frequency out of forces for display and noise out of a predicted deviation
 before it is mirrored. The filter has no phase shift, and its order and cut-off are
 arguments. Besides, derivatives that JAX would not find by itself, or not as cheaply:
-`with_derivative_of` and `clamp`; `hold` keeps what XLA would compute again, `Few` sums
-up what it would reduce slowly, and
-`Recomputed` computes again what reverse mode would keep; `small_inverse` is an inverse
-that batches well.
+`with_derivative_of` and `clamp`; `materialise` keeps what XLA would compute again,
+`ShortAxis` sums up what it would reduce slowly, `Rematerialised` computes again what
+reverse mode would keep; `small_inverse` is an inverse that batches well.
 `hat_integral` is the smooth step that samples at any phase sum up fairly, `ramp` a
-kink rounded off. `CompiledOnce` compiles a function on another core before its
+kink rounded off. `CachedJit` compiles a function on another core before its
 first call, and keeps what it traced for the next process.
 
 Assumes equally spaced samples on the host. Leaves out what JAX, equinox and optimistix
@@ -17,11 +16,11 @@ already give, and filters within a traced function.
 """
 
 from ._clamp import clamp as clamp
-from ._compiled_once import CompiledOnce as CompiledOnce
-from ._few import Few as Few
+from ._compiled_once import CachedJit as CachedJit
+from ._few import ShortAxis as ShortAxis
 from ._filters import lowpass as lowpass
 from ._hat import hat_integral as hat_integral, ramp as ramp
-from ._hold import hold as hold
+from ._hold import materialise as materialise
 from ._inverse import small_inverse as small_inverse
-from ._recomputed import Recomputed as Recomputed
+from ._recomputed import Rematerialised as Rematerialised
 from ._with_derivative import with_derivative_of as with_derivative_of

@@ -87,7 +87,7 @@ class _Workers:
 _WORKERS = _Workers()
 
 
-class CompiledOnce(Generic[P, R]):
+class CachedJit(Generic[P, R]):
     """A function that is compiled once: before its first call, or by another process.
 
     XLA compiles on one core without Python's lock: if prepared, another core does so

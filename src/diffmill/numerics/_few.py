@@ -17,7 +17,7 @@ _sum = Primitive("sum_of_few")
 _copies = Primitive("few_copies")
 
 
-class Few:
+class ShortAxis:
     """Sums and copies of a few arrays."""
 
     @staticmethod
@@ -47,20 +47,20 @@ def _copy(values: Array, count: int) -> Array:
 
 
 def _add_batch(args: Sequence[Array], axes: Sequence[int]) -> tuple[Array, int]:
-    return Few.sum(jnp.moveaxis(args[0], axes[0], 1)), 0
+    return ShortAxis.sum(jnp.moveaxis(args[0], axes[0], 1)), 0
 
 
 def _copy_batch(
     args: Sequence[Array], axes: Sequence[int], *, count: int
 ) -> tuple[Array, int]:
-    return Few.copies(args[0], count), axes[0] + 1
+    return ShortAxis.copies(args[0], count), axes[0] + 1
 
 
 _sum.def_impl(_add)
 _sum.def_abstract_eval(lambda terms: terms.update(shape=terms.shape[1:]))
 mlir.register_lowering(_sum, mlir.lower_fun(_add, multiple_results=False))
 batching.primitive_batchers[_sum] = _add_batch
-ad.deflinear2(_sum, lambda ct, terms: [Few.copies(ct, terms.aval.shape[0])])
+ad.deflinear2(_sum, lambda ct, terms: [ShortAxis.copies(ct, terms.aval.shape[0])])
 
 _copies.def_impl(_copy)
 _copies.def_abstract_eval(
@@ -68,4 +68,4 @@ _copies.def_abstract_eval(
 )
 mlir.register_lowering(_copies, mlir.lower_fun(_copy, multiple_results=False))
 batching.primitive_batchers[_copies] = _copy_batch
-ad.deflinear2(_copies, lambda ct, values, count: [Few.sum(ct)])
+ad.deflinear2(_copies, lambda ct, values, count: [ShortAxis.sum(ct)])

@@ -17,7 +17,7 @@ _hold, _hold_backward = Primitive("hold"), Primitive("hold_backward")
 _hold.multiple_results = _hold_backward.multiple_results = True
 
 
-def hold(values: _T, *, backward_only: bool = False) -> _T:
+def materialise(values: _T, *, backward_only: bool = False) -> _T:
     """Return the values, which their users are to load and not to compute again.
 
     XLA's CPU compiler fuses what is computed into each of its users. A call that is not

@@ -12,7 +12,7 @@ R = TypeVar("R")
 _T = TypeVar("_T", bound=PyTree)
 
 
-class Recomputed:
+class Rematerialised:
     """Functions that reverse mode computes again, and what it stores of them.
 
     What a function reads of a large table is small beside the table and beside what

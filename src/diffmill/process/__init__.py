@@ -32,10 +32,10 @@ from ._process import (
     Process as Process,
     Substeps as Substeps,
 )
-from ._state import ProcessState as ProcessState, Removed as Removed
+from ._state import ProcessState as ProcessState, RemovedVolume as RemovedVolume
 from ._stock_derivatives import (
     AbstractAdjoint as AbstractAdjoint,
-    StockHeld as StockHeld,
+    FrozenStock as FrozenStock,
     ThroughPoses as ThroughPoses,
     ThroughRays as ThroughRays,
 )

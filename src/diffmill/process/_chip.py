@@ -18,7 +18,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from .._types import RealScalarLike
-from ..numerics import clamp, hat_integral, hold
+from ..numerics import clamp, hat_integral, materialise
 
 # Below this motion per tooth an edge counts as standing still [m].
 _STANDSTILL = 1e-8
@@ -28,7 +28,7 @@ _AT_REST = 3e-6
 _ASIDE = 0.02
 
 
-class Outward(eqx.Module):
+class RadialDirection(eqx.Module):
     """Directions e = (sin phi, cos phi) in which teeth stand out of the axis.
 
     Attributes:
@@ -40,10 +40,10 @@ class Outward(eqx.Module):
     cos: Float[Array, "*sample"]
 
     @classmethod
-    def of(cls, immersion_angle: Float[Array, "*sample"]) -> "Outward":
+    def of(cls, immersion_angle: Float[Array, "*sample"]) -> "RadialDirection":
         """Return the directions at immersion angles [rad], any shape."""
         # All that is computed of a sample needs them, and would compute them again.
-        return hold(cls(jnp.sin(immersion_angle), jnp.cos(immersion_angle)))
+        return materialise(cls(jnp.sin(immersion_angle), jnp.cos(immersion_angle)))
 
 
 class UnclippedChip(NamedTuple):
@@ -78,13 +78,13 @@ def circle_chip(
 
     Differentiability: smooth; constant where the circle is missed, no NaN there.
     """
-    return chip_along(radius, offset, Outward.of(immersion_angle), if_missed)
+    return chip_along(radius, offset, RadialDirection.of(immersion_angle), if_missed)
 
 
 def chip_along(
     radius: RealScalarLike,
     offset: Float[Array, " 3"],
-    outward: Outward,
+    outward: RadialDirection,
     if_missed: RealScalarLike,
 ) -> Float[Array, "*sample"]:
     """Return what `circle_chip` does, along directions that are known.
@@ -232,7 +232,7 @@ def safe_norm(vector: Float[Array, "*sample n"]) -> Float[Array, "*sample"]:
     return jnp.where(is_zero, 0, jnp.sqrt(jnp.where(is_zero, 1, square)))
 
 
-def held_at_rest(
+def freeze_derivative_at_standstill(
     value: Float[Array, "*sample"], feed_per_tooth: Float[Array, "*#sample"]
 ) -> Float[Array, "*sample"]:
     """Return what depends on the direction of a motion, its derivative held at rest.
@@ -254,6 +254,6 @@ def held_at_rest(
     return jnp.where(is_at_rest, jax.lax.stop_gradient(value), value)
 
 
-def way_of(offset: Float[Array, "*sample n"]) -> Float[Array, "*sample"]:
+def displacement_norm(offset: Float[Array, "*sample n"]) -> Float[Array, "*sample"]:
     """Return the way between two poses, at least a little, to divide by [m]."""
     return jnp.maximum(safe_norm(offset), _STANDSTILL)

@@ -77,7 +77,7 @@ def choose_engagement(
     plunges: bool = False,
     has_bottom: bool = True,
     chip: ChipModel = "near_far",
-    looks: int = 1,
+    updates_per_period: int = 1,
 ) -> AbstractEngagement:
     """Choose the sizes of a process.
 
@@ -96,14 +96,14 @@ def choose_engagement(
         plunges: Whether the path descends in material, so that the bottom cuts.
         has_bottom: Whether bottom edges cut where the tool descends.
         chip: The chip model.
-        looks: How often a robot's tooth period looks up the stock.
+        updates_per_period: Engagement updates of a robot's tooth period.
 
     Returns:
         `UprightFlat`, `EdgeElementsInSpace` or `DexelCloud`.
 
     Raises:
         ValueError: A point cloud is asked for, but not of a plain flat cutter that
-            stands upright; or looks do not divide the sub-steps.
+            stands upright; or updates do not divide the sub-steps.
     """
     is_simple = is_upright and cutter.is_plain
     unit = cutter.flute_count * substeps
@@ -123,7 +123,7 @@ def choose_engagement(
         "angles": angles,
         "substeps": substeps,
         "lag": lag,
-        "looks": looks,
+        "updates_per_period": updates_per_period,
     }
     if is_simple:
         # One more disc than the depth holds: its share rises before it is immersed.

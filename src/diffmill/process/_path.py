@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._live_rows import last_row
+from .._padding import last_row
 from .._types import FloatRows3, IntScalar
 from ..cutter import AbstractCutter
 from ..workpiece import Pose, Stock

@@ -11,17 +11,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from .._live_rows import when_live
+from .._padding import if_valid
 from .._types import IntScalar, RealScalarLike
 from ..cutter import AbstractCutter
 from ..cutting import AbstractForceLaw
-from ..numerics import Recomputed
+from ..numerics import Rematerialised
 from ..workpiece import Discs, Pose, RemovalWindow, Stock
 from ._engagement.edge_samples import EdgeSamples, Engagement
 from ._engagement.teeth_before import TeethBefore
 from ._path import PosesWithin, poses_within, substep_ends, substep_middles
 from ._removal_history import RemovalHistory
-from ._state import ProcessState, Removed
+from ._state import ProcessState, RemovedVolume
 from ._stock_derivatives import AbstractAdjoint, ThroughRays
 
 
@@ -43,29 +43,29 @@ class AbstractEngagement(eqx.Module):
     Attributes:
         angles: Samples of the immersion angle per revolution.
         substeps: Sub-steps per tooth period.
-        looks: How often a robot's tooth period looks up the stock, each time for as
+        updates_per_period: Engagement updates of a robot's tooth period, each for as
             many sub-steps; their poses are predicted from where the tool is then.
         discs: Discs of the cutter, or the height of an edge element and the band.
         window: Window of rays of a removal.
         lag: Travelled distance by which removal lags [m].
         is_upright: Whether the tool stands along +z all the time.
-        judges_period: Whether a look at the stock judges the way from the start of a
+        samples_whole_period: Whether an update judges the way from the start of a
             period to its last expected pose, and not each sample at its own.
     """
 
     angles: eqx.AbstractVar[int]
     substeps: eqx.AbstractVar[int]
-    looks: eqx.AbstractVar[int]
+    updates_per_period: eqx.AbstractVar[int]
     discs: eqx.AbstractVar[Discs]
     window: eqx.AbstractVar[RemovalWindow]
     lag: eqx.AbstractVar[float]
     is_upright: eqx.AbstractVar[bool]
-    judges_period: eqx.AbstractVar[bool]
+    samples_whole_period: eqx.AbstractVar[bool]
 
     @abc.abstractmethod
     def advance(
         self, process: "Process", state: ProcessState, index: Int[Array, ""], pose: Pose
-    ) -> tuple[ProcessState, Removed]:
+    ) -> tuple[ProcessState, RemovedVolume]:
         """Take in the pose at the end of a period, and remove what is due.
 
         Args:
@@ -110,7 +110,7 @@ class AbstractEngagement(eqx.Module):
         samples: EdgeSamples,
         pose: Pose,
         earlier: Pose,
-        thinned: Pose,
+        decimated: Pose,
     ) -> Float[Array, "angle 6"]:
         """Return force and moment on the tool at the angles of one sub-step.
 
@@ -120,7 +120,7 @@ class AbstractEngagement(eqx.Module):
             pose: Pose in the middle of the sub-step, shape (3,).
             earlier: Poses when the teeth before passed, as `Process.earlier` returns
                 them, shape (before, 3), of uneven teeth (before, tooth, 3).
-            thinned: Older poses, shape (circle, 3).
+            decimated: Older poses, shape (circle, 3).
 
         Returns:
             Force on the tool in `work` [N], then its moment about the tip by levers
@@ -138,7 +138,7 @@ class AbstractEngagement(eqx.Module):
         samples: EdgeSamples,
         pose: Pose,
         earlier: Pose,
-        thinned: Pose,
+        decimated: Pose,
     ) -> Float[Array, "angle kept element"]:
         """Return the unclipped chip thickness of one sub-step [m]; see `wrench`."""
 
@@ -262,7 +262,7 @@ class Process(eqx.Module):
         predicted: Pose,
         is_live: Bool[Array, ""] | None = None,
         look: Callable[..., Engagement] | None = None,
-    ) -> tuple[ProcessState, Engagement, Removed]:
+    ) -> tuple[ProcessState, Engagement, RemovedVolume]:
         """Take in the pose at the start of a period, remove, and look for material.
 
         Args:
@@ -285,7 +285,7 @@ class Process(eqx.Module):
         if look is not None:
             return state, look(self, state, index, predicted), removed
         engage = lambda: self.engage(state, index, predicted)
-        return state, when_live(is_live, engage), removed
+        return state, if_valid(is_live, engage), removed
 
     def engage(
         self,
@@ -299,7 +299,7 @@ class Process(eqx.Module):
         In reverse mode it is computed again from what it has read, which is kept.
         """
         look = lambda: self.engagement.engage(self, state, index, predicted, part)
-        return Recomputed.of(look)()
+        return Rematerialised.of(look)()
 
     def teeth_before(self, dtype: jnp.dtype) -> TeethBefore | None:
         """Return which poses are those when the teeth before passed.

@@ -19,7 +19,7 @@ from jaxtyping import Array, Float, Int
 
 from .._arrays import is_traced
 from ..cutter import AbstractCutter
-from ..numerics import Recomputed
+from ..numerics import Rematerialised
 from ..workpiece import (
     Pose,
     PoseTrack,
@@ -29,7 +29,7 @@ from ..workpiece import (
 )
 from ._chip import safe_norm
 from ._engagement.leading_half import STILL
-from ._state import ProcessState, Removed, Waiting
+from ._state import ProcessState, RemovalQueue, RemovedVolume
 from ._stock_derivatives import AbstractAdjoint
 
 # Entries of the history along a straight path: the lag is so many least distances.
@@ -43,7 +43,7 @@ _TURNED = math.cos(0.3)
 # After a shorter way no pose comes in [m]: so much of a corner may stay uncut.
 _LEAST_WAY = 5e-7
 # Earlier circles, as shares of the lag, beyond the exact ones of the last teeth.
-_THINNED = (0.25, 0.5, 0.75, 1.0)
+_DECIMATED = (0.25, 0.5, 0.75, 1.0)
 # Rows of the track that removal looks back on at most: what waits longer is removed.
 _HISTORY = 512
 # Two poses at most leave the history in a step, so that it shrinks after slow feed.
@@ -83,7 +83,7 @@ class RemovalHistory(NamedTuple):
     @property
     def circle_count(self) -> int:
         """Earlier circles beyond those of the last teeth."""
-        return len(_THINNED)
+        return len(_DECIMATED)
 
     def begin(self, stock: Stock, pose: Pose, pose_count: int) -> ProcessState:
         """Return the state at pose 0, where the tool has removed nothing yet.
@@ -95,7 +95,7 @@ class RemovalHistory(NamedTuple):
         """
         cutter, dtype = self.cutter, stock.origin.dtype
         nodes = max((pose_count - 1) * self.substeps + 1, self._pass_length())
-        waiting = Waiting(
+        waiting = RemovalQueue(
             row=jnp.zeros(QUEUE_LENGTH, jnp.int32),
             forward=jnp.zeros((QUEUE_LENGTH, 2), dtype).at[:, 1].set(1),
             passing=jnp.zeros(QUEUE_LENGTH, dtype),
@@ -120,7 +120,7 @@ class RemovalHistory(NamedTuple):
             queue_count=jnp.ones((), jnp.int32),
             slots=stock.slots_in_use(),
             has_overflow=jnp.zeros((), bool),
-            is_beyond=jnp.zeros((), bool),
+            has_left_window=jnp.zeros((), bool),
         )
 
     def advance(
@@ -128,7 +128,7 @@ class RemovalHistory(NamedTuple):
         state: ProcessState,
         index: Int[Array, ""],
         pose: Pose,
-    ) -> tuple[ProcessState, Removed]:
+    ) -> tuple[ProcessState, RemovedVolume]:
         """Enter a pose in the history, and remove up to two passes behind the lag.
 
         As long as the tool has not moved, what it stands in is removed.
@@ -212,7 +212,7 @@ class RemovalHistory(NamedTuple):
         index: Int[Array, ""],
         pose: Pose,
         motion: Float[Array, " 3"],
-    ) -> tuple[Waiting, Float[Array, ""]]:
+    ) -> tuple[RemovalQueue, Float[Array, ""]]:
         """Return the pass of the newest pose, and when an even tooth looks forward.
 
         Which of the teeth it is follows the direction without a jump, so that where
@@ -239,7 +239,7 @@ class RemovalHistory(NamedTuple):
             early = early_teeth(cutter, pose.tip.dtype)
             late = -early[tooth] * (count / (2 * math.pi))
         travel = state.newest.travel + length
-        newest = Waiting(index, forward, passing + late, heading, travel)
+        newest = RemovalQueue(index, forward, passing + late, heading, travel)
         if cutter.has_runout:
             one = jnp.ones_like(index)
             newest = dataclasses.replace(newest, tooth=tooth, count=one)
@@ -249,7 +249,7 @@ class RemovalHistory(NamedTuple):
         self,
         state: ProcessState,
         index: Int[Array, ""],
-    ) -> tuple[ProcessState, Removed]:
+    ) -> tuple[ProcessState, RemovedVolume]:
         """Remove up to two passes that the tool has left behind by the lag.
 
         Args:
@@ -292,7 +292,7 @@ class RemovalHistory(NamedTuple):
                 s.queue_count,
                 s.slots,
                 s.has_overflow,
-                s.is_beyond,
+                s.has_left_window,
             ),
             state,
             (
@@ -301,22 +301,22 @@ class RemovalHistory(NamedTuple):
                 state.queue_count - count,
                 cut.slots,
                 state.has_overflow | cut.has_overflow,
-                state.is_beyond | cut.is_beyond,
+                state.has_left_window | cut.has_left_window,
             ),
         )
-        return state, Removed(oldest.row, cut.volume, cut.by_shank)
+        return state, RemovedVolume(oldest.row, cut.volume, cut.by_shank)
 
-    def thinned_poses(self, state: ProcessState) -> Pose:
+    def decimated_poses(self, state: ProcessState) -> Pose:
         """Return the newest poses in the queue at given distances behind the tool."""
-        rows = self.thinned_rows(state)
-        return Recomputed.read(state.track.poses.taken(rows * self.substeps))
+        rows = self.decimated_rows(state)
+        return Rematerialised.read(state.track.poses.taken(rows * self.substeps))
 
-    def thinned_rows(self, state: ProcessState) -> Int[Array, " circle"]:
+    def decimated_rows(self, state: ProcessState) -> Int[Array, " circle"]:
         """Return the indices of the thinned poses, those at tooth instants."""
         slots = jnp.arange(QUEUE_LENGTH, dtype=jnp.int32)
         age = state.newest.travel - state.queue.travel
         picks = []
-        for share in _THINNED:
+        for share in _DECIMATED:
             is_old = (age >= share * self.lag) & (slots < state.queue_count)
             picks.append(jnp.max(jnp.where(is_old, slots, 0)))
         # What a run before this one did long ago stands where the track begins.
@@ -328,7 +328,7 @@ class RemovalHistory(NamedTuple):
         index: Int[Array, ""],
         pose: Pose,
         pose_count: int,
-    ) -> tuple[ProcessState, Removed]:
+    ) -> tuple[ProcessState, RemovedVolume]:
         """Remove all that the history still holds, the last pose included.
 
         Args:
@@ -347,7 +347,7 @@ class RemovalHistory(NamedTuple):
         # After the last pose the tool stands there while its teeth go around.
         rest = jnp.arange(1 + self._wait(), dtype=jnp.int32)
 
-        def standing(later: Int[Array, ""]) -> Waiting:
+        def standing(later: Int[Array, ""]) -> RemovalQueue:
             row, newest = index + later, state.newest
             each = dataclasses.replace(newest, row=row, passing=state.passing)
             if newest.tooth is None:
@@ -362,29 +362,38 @@ class RemovalHistory(NamedTuple):
         is_due = jnp.concatenate([slots < state.queue_count, jnp.ones(rest.size, bool)])
 
         def remove(carry, x):
-            stock, has_overflow, is_beyond = carry
+            stock, has_overflow, has_left_window = carry
             row, due = x
             tooth = self._tooth_pass(state, row, newest)
             cut = window.remove_passes(stock, cutter, [tooth], due[None])
-            flags = (has_overflow | cut.has_overflow, is_beyond | cut.is_beyond)
+            flags = (
+                has_overflow | cut.has_overflow,
+                has_left_window | cut.has_left_window,
+            )
             return (cut.stock, *flags), (cut.volume[0], cut.by_shank[0])
 
-        carry = (state.stock, state.has_overflow, state.is_beyond)
+        carry = (state.stock, state.has_overflow, state.has_left_window)
         (stock, full, beyond), (volume, by_shank) = jax.lax.scan(
             remove, carry, (rows, is_due)
         )
         slots_in_use = stock.slots_in_use()
         state = eqx.tree_at(
-            lambda s: (s.stock, s.queue_count, s.slots, s.has_overflow, s.is_beyond),
+            lambda s: (
+                s.stock,
+                s.queue_count,
+                s.slots,
+                s.has_overflow,
+                s.has_left_window,
+            ),
             state,
             (stock, jnp.zeros((), jnp.int32), slots_in_use, full, beyond),
         )
-        return state, Removed(jnp.minimum(rows.row, index), volume, by_shank)
+        return state, RemovedVolume(jnp.minimum(rows.row, index), volume, by_shank)
 
     def _tooth_pass(
         self,
         state: ProcessState,
-        waiting: Waiting,
+        waiting: RemovalQueue,
         newest: Int[Array, ""],
     ) -> ToothPass:
         """Return a pass in the queue.

@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float, Int
 from ..workpiece import Pose, PoseTrack, Stock
 
 
-class Waiting(eqx.Module):
+class RemovalQueue(eqx.Module):
     """Passes that wait for removal, oldest first, each of one tooth.
 
     Attributes:
@@ -33,11 +33,11 @@ class Waiting(eqx.Module):
     tooth: Int[Array, "*queue"] | None = None
     count: Int[Array, "*queue"] | None = None
 
-    def __getitem__(self, item: object) -> "Waiting":
+    def __getitem__(self, item: object) -> "RemovalQueue":
         """Return some of the passes."""
         return jax.tree.map(lambda x: x[item], self)
 
-    def standing_since(self, row: Int[Array, ""]) -> "Waiting":
+    def standing_since(self, row: Int[Array, ""]) -> "RemovalQueue":
         """Return a pass that stands for all teeth since that of another row."""
         if self.count is None:
             return self
@@ -62,7 +62,7 @@ class ProcessState(eqx.Module):
         queue_count: Number of entries, shape ().
         slots: How many slots of each family of rays hold anything, shape (3,).
         has_overflow: Whether a ray ran out of slots, shape ().
-        is_beyond: Whether the tool reached beyond its window, shape ().
+        has_left_window: Whether the tool reached beyond its window, shape ().
     """
 
     stock: Stock
@@ -70,13 +70,13 @@ class ProcessState(eqx.Module):
     last_tip: Float[Array, " 3"]
     recent: Pose
     ends: Pose
-    newest: Waiting
+    newest: RemovalQueue
     passing: Float[Array, ""]
-    queue: Waiting
+    queue: RemovalQueue
     queue_count: Int[Array, ""]
     slots: Int[Array, " 3"]
     has_overflow: Bool[Array, ""]
-    is_beyond: Bool[Array, ""]
+    has_left_window: Bool[Array, ""]
 
     def ended(self, middles: Pose, ends: Pose) -> "ProcessState":
         """Return the state that keeps the poses of the period just run.
@@ -93,7 +93,7 @@ class ProcessState(eqx.Module):
         return eqx.tree_at(lambda s: (s.recent, s.ends), self, (recent, ends))
 
 
-class Removed(eqx.Module):
+class RemovedVolume(eqx.Module):
     """Poses removed in one step and what each took [m^3].
 
     Attributes:

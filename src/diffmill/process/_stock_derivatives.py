@@ -27,7 +27,7 @@ class AbstractAdjoint(eqx.Module):
         """Return the poses as removal should see them."""
 
     @abc.abstractmethod
-    def tied_to(self, track: PoseTrack, raw: Stock) -> PoseTrack | None:
+    def with_pose_derivatives(self, track: PoseTrack, raw: Stock) -> PoseTrack | None:
         """Return what carries the derivatives of samples, or None.
 
         Args:
@@ -43,7 +43,7 @@ class ThroughRays(AbstractAdjoint):
         """Return the poses unchanged."""
         return poses
 
-    def tied_to(self, track: PoseTrack, raw: Stock) -> PoseTrack:
+    def with_pose_derivatives(self, track: PoseTrack, raw: Stock) -> PoseTrack:
         """Return the poses and the raw stock."""
         return dataclasses.replace(track, raw=raw)
 
@@ -55,12 +55,12 @@ class ThroughPoses(AbstractAdjoint):
         """Return the poses as constants."""
         return poses.frozen()
 
-    def tied_to(self, track: PoseTrack, raw: Stock) -> PoseTrack:
+    def with_pose_derivatives(self, track: PoseTrack, raw: Stock) -> PoseTrack:
         """Return the poses and the raw stock."""
         return dataclasses.replace(track, raw=raw)
 
 
-class StockHeld(AbstractAdjoint):
+class FrozenStock(AbstractAdjoint):
     """Differentiate as if the stock did not depend on the path.
 
     Chips follow all poses all the same: theirs is the surface that the last teeth left.
@@ -70,6 +70,6 @@ class StockHeld(AbstractAdjoint):
         """Return the poses as constants."""
         return poses.frozen()
 
-    def tied_to(self, track: PoseTrack, raw: Stock) -> None:
+    def with_pose_derivatives(self, track: PoseTrack, raw: Stock) -> None:
         """Return None: the ends that samples read are constants."""
         del track, raw

@@ -42,8 +42,8 @@ from ._job.simulate import (
     JobModel as JobModel,
     Solution as Solution,
     rigid_cut as rigid_cut,
-    run_with_room as run_with_room,
     simulate as simulate,
+    simulate_with_slot_growth as simulate_with_slot_growth,
 )
 from ._job.stack import stack as stack
 from ._linear.linear_run import LinearRun as LinearRun, linearise as linearise

@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from .._live_rows import pad_rows, padded_count
+from .._padding import pad_rows, padded_count
 from .._types import (
     BoolSteps,
     FloatRows3,

@@ -149,7 +149,7 @@ def _run_written(job: "Job", final: "Solution", path: "Path") -> WrittenError:
 
     from ..._result import RESULTS
     from ...process import ThroughPoses
-    from ...sim import Solution, run_with_room
+    from ...sim import Solution, simulate_with_slot_growth
 
     # Rounded times may end a row sooner or later; the tool then rests at the end.
     rows = np.minimum(np.arange(job.path.step_count), path.step_count - 1)
@@ -168,7 +168,7 @@ def _run_written(job: "Job", final: "Solution", path: "Path") -> WrittenError:
     solution = Solution.of_command(job, final.rigid, tips, ThroughPoses())
     if solution.result == RESULTS.interval_overflow:
         quiet = lambda message, share: None
-        solution = run_with_room(job, tips, ThroughPoses(), quiet).solution
+        solution = simulate_with_slot_growth(job, tips, ThroughPoses(), quiet).solution
     solution.raise_unless_successful(job)
     return _left(solution, np.asarray(final.is_cutting))
 

@@ -70,7 +70,7 @@ def default_substeps(period: float, fastest: float) -> int:
     return min(max(fewest, wanted), _SHORTER * fewest)
 
 
-def default_looks(period: float, substeps: int) -> int:
+def default_updates(period: float, substeps: int) -> int:
     """Return how often a tooth period looks up the stock.
 
     Args:

@@ -7,9 +7,9 @@ import numpy as np
 from jaxtyping import Float
 
 from ..._arrays import first_rows
-from ..._live_rows import pad_rows, padded_count
+from ..._padding import pad_rows, padded_count
 from ..._types import FloatRows
-from ...numerics import CompiledOnce
+from ...numerics import CachedJit
 from ...robot import (
     JointSolution,
     Robot,
@@ -269,7 +269,7 @@ def _note_singular(
 _frames = jax.jit(Pose.frame)
 
 
-@CompiledOnce
+@CachedJit
 def _singularities(robot: Robot, rows: FloatRows, tool_rotation: ToolRotation) -> Any:
     return jax.vmap(lambda q: singularity(robot, q, tool_rotation=tool_rotation))(rows)
 

@@ -17,7 +17,7 @@ from .problem import Motion, Problem
 OnProgress = Callable[[str, float], bool | None]
 
 
-class Corrected(eqx.Module):
+class MethodResult(eqx.Module):
     """The outcome of one method.
 
     Attributes:
@@ -53,7 +53,7 @@ class AbstractMethod(eqx.Module):
         *,
         start: FloatRows | None = None,
         on_progress: OnProgress | None = None,
-    ) -> Corrected:
+    ) -> MethodResult:
         """Return the corrected command.
 
         Args:
@@ -85,7 +85,7 @@ class GivenCommand(AbstractMethod):
         *,
         start: FloatRows | None = None,
         on_progress: OnProgress | None = None,
-    ) -> Corrected:
+    ) -> MethodResult:
         """Return the command with the motion that follows; `start` is not used."""
         command = problem.nominal if self.command is None else self.command
         runs = 0 if self.motion is None else 1
@@ -102,7 +102,7 @@ def corrected(
     history: tuple[LeastSquaresStep, ...] = (),
     detail: dict[str, float] | None = None,
     result: RESULTS = RESULTS.successful,
-) -> Corrected:
+) -> MethodResult:
     """Collect the outcome of a method; run the plant unless its motion is given.
 
     Args:
@@ -125,7 +125,7 @@ def corrected(
         forward_runs += 1
     contour = np.asarray(problem.contour(motion), np.float64)
     figures = measure(problem, command, contour)
-    return Corrected(
+    return MethodResult(
         command=command,
         motion=motion,
         contour=contour,

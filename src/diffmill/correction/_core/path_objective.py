@@ -90,10 +90,12 @@ class PathObjective(AbstractObjective):
         if not np.any(self.tolerance):
             return self
         whole = PathObjective()
-        return _Shortened(whole, _hidden(self, whole, problem.without_plant, motion))
+        return _DeadbandModel(
+            whole, _deadband_part(self, whole, problem.without_plant, motion)
+        )
 
 
-class _Shortened(AbstractObjective):
+class _DeadbandModel(AbstractObjective):
     """An objective less a part that a step does not change.
 
     Attributes:
@@ -112,7 +114,7 @@ class _Shortened(AbstractObjective):
 
 
 @eqx.filter_jit
-def _hidden(
+def _deadband_part(
     shortened: AbstractObjective,
     whole: AbstractObjective,
     problem: Problem,

@@ -8,7 +8,7 @@ from typing import TypeVar
 import jax
 import numpy as np
 
-from .._core.method import Corrected
+from .._core.method import MethodResult
 from .._core.problem import Problem
 from .._method.checkpoint import (
     Arrays,
@@ -33,7 +33,7 @@ class CaseRecord:
         on_checkpoint: OnCheckpoint | None,
         resume: Arrays | None,
     ):
-        self.methods: dict[str, Corrected] = {}
+        self.methods: dict[str, MethodResult] = {}
         self.wall_time: dict[str, float] = {}
         self.saved: dict[str, np.ndarray] = {}
         # Runs, linearisations and seconds of what has only been prepared.
@@ -53,10 +53,10 @@ class CaseRecord:
     def prepare(
         self,
         name: str,
-        method: Callable[..., Corrected],
+        method: Callable[..., MethodResult],
         problem: Problem,
         **options: object,
-    ) -> Corrected:
+    ) -> MethodResult:
         """Return what a method finds that is no case, only the start of the next one.
 
         What it cost counts as a part of that.
@@ -70,7 +70,7 @@ class CaseRecord:
     def run(
         self,
         name: str,
-        method: Callable[..., Corrected],
+        method: Callable[..., MethodResult],
         problem: Problem,
         **options: object,
     ) -> None:
@@ -89,7 +89,7 @@ class CaseRecord:
     def _run(
         self,
         name: str,
-        method: Callable[..., Corrected],
+        method: Callable[..., MethodResult],
         problem: Problem,
         options: dict[str, object],
         *,

@@ -14,9 +14,9 @@ from ..._job import Job
 from ..._types import FloatRows, readable_signature
 from ...optimise import LeastSquaresStep
 from ...process import ThroughPoses
-from ...sim import JobKinematics, Solution, run_with_room
+from ...sim import JobKinematics, Solution, simulate_with_slot_growth
 from ...workpiece import SurfaceError
-from .._core.method import AbstractMethod, Corrected, GivenCommand
+from .._core.method import AbstractMethod, GivenCommand, MethodResult
 from .._core.path_objective import AbstractObjective, check_objective
 from .._core.path_segments import PathParts
 from .._core.problem import Problem
@@ -54,7 +54,12 @@ from .plants import (
     joint_problem,
     solved_motion,
 )
-from .resumable import SegmentRows, keeping, remembering, segment_rows
+from .resumable import (
+    SegmentRows,
+    segment_rows,
+    with_segment_checkpoints,
+    with_step_checkpoints,
+)
 
 if TYPE_CHECKING:
     import xarray
@@ -92,7 +97,7 @@ class Correction(eqx.Module):
     """
 
     cases: dict[str, Solution]
-    methods: dict[str, Corrected]
+    methods: dict[str, MethodResult]
     wall_time: dict[str, float]
     path_parts: PathParts
     chosen: str = eqx.field(static=True)
@@ -221,7 +226,9 @@ def correct(
     record = CaseRecord(on_progress, on_checkpoint, resume)
     # The first case is this run: the methods need it before it is recorded.
     job, before = record.timed(
-        lambda: run_with_room(job, desired, adjoint, lambda message, share: None)
+        lambda: simulate_with_slot_growth(
+            job, desired, adjoint, lambda message, share: None
+        )
     )
     rigid = before.rigid
     if throw:
@@ -331,7 +338,9 @@ class _Optimiser:
             start = self._on_the_path(record, path_first, problem, start)
         plant = problem.plant
         assert isinstance(plant, TipPlant | JointPlant)
-        kept = keeping(method, plant.pieces, record, self.task.segments)
+        kept = with_segment_checkpoints(
+            method, plant.pieces, record, self.task.segments
+        )
         record.run("corrected", kept, problem, start=start)
 
     def _on_the_path(
@@ -348,14 +357,14 @@ class _Optimiser:
         if self.task.job.correction.objective == "path":
             rows = np.maximum(problem.is_cutting, rows)
         touching = dataclasses.replace(problem, is_cutting=rows)
-        first = remembering(path_first, "start_on_path", record)
+        first = with_step_checkpoints(path_first, "start_on_path", record)
         found = record.prepare("start_on_path", first, touching, start=start)
         given = GivenCommand(path_first.begin(problem, start))
         given = record.prepare("start_as_given", given, problem)
         closest = lambda m: self._remaining(m) + out_of_bounds(self.method, m)
         return min((found, given), key=closest).command
 
-    def _remaining(self, found: Corrected) -> float:
+    def _remaining(self, found: MethodResult) -> float:
         return remaining_error(self.objective, self.task.problem, found)
 
 
@@ -396,7 +405,7 @@ def _finished(task: _Task, record: CaseRecord) -> Correction:
     return Correction(cases, methods, record.wall_time, parts, chosen)
 
 
-def _solution(task: _Task, name: str, found: Corrected) -> Solution:
+def _solution(task: _Task, name: str, found: MethodResult) -> Solution:
     """Return the solution of a case; one that was taken up again has to be run."""
     if isinstance(found.motion, SolvedMotion):
         return found.motion.solution

@@ -62,7 +62,9 @@ class JointLimits(eqx.Module):
         joints, tips = jnp.asarray(nominal), None
         if job.correction.command != "joint":
             tips, joints = joints, JobKinematics(job).joints(joints).positions
-        motors = np.asarray(JobKinematics(job).motors_of(joints), np.float64)
+        motors = np.asarray(
+            JobKinematics(job).motor_positions_from_joints(joints), np.float64
+        )
         slope = np.asarray(JobKinematics(job).motor_slopes(joints, tips), np.float64)
         bend = _bend(job, joints, tips, slope, max_offset)
         least, most = (
@@ -98,7 +100,9 @@ class JointLimits(eqx.Module):
         joints = jnp.asarray(command)
         if not is_joints:
             joints = JobKinematics(job).joints(joints).positions
-        motors = np.asarray(JobKinematics(job).motors_of(joints), np.float64)
+        motors = np.asarray(
+            JobKinematics(job).motor_positions_from_joints(joints), np.float64
+        )
         least, most = np.asarray(robot.joint_lower), np.asarray(robot.joint_upper)
         excess = np.maximum(least[None] - motors, motors - most[None])
         _refuse(job, motors, excess, float(job.tooth_period), "")

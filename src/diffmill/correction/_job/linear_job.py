@@ -9,9 +9,9 @@ from jaxtyping import Array, Float, PyTree
 
 from ..._arrays import first_rows, is_traced, on_device
 from ..._job import Job
-from ..._live_rows import pad_rows
-from ...numerics import CompiledOnce
-from ...process import StockHeld, wall_deviation, wall_shares
+from ..._padding import pad_rows
+from ...numerics import CachedJit
+from ...process import FrozenStock, wall_deviation, wall_shares
 from ...robot import Controller
 from ...sim import (
     JobModel,
@@ -131,14 +131,14 @@ def linear_job(
     count = job.path.step_count
     if state is not None or wall_share is None or is_traced((job, motors)):
         return _linear_job(
-            JobModel.of(job, StockHeld()), motors, slopes, wall_share, state
+            JobModel.of(job, FrozenStock()), motors, slopes, wall_share, state
         )
     # A whole path runs at one of few lengths, for which it is compiled.
     padded = dataclasses.replace(job, path=job.path.padded())
     rows = padded.path.step_count
     long = lambda x: on_device(pad_rows(x, rows))
     given = long(motors), long(slopes), long(wall_share)
-    found = _linear_job(JobModel.of(padded, StockHeld()), *given, None)
+    found = _linear_job(JobModel.of(padded, FrozenStock()), *given, None)
     return _first_rows(found, count) if rows > count else found
 
 
@@ -162,11 +162,11 @@ def prepare_linear_job(job: Job) -> None:
     axes = joints if job.correction.command == "joint" else 3
     shapes = (rows, joints), (rows, joints, axes), (rows,)
     motors, slopes, shares = (on_device(np.zeros(x, dtype)) for x in shapes)
-    model = JobModel.of(job, StockHeld())
+    model = JobModel.of(job, FrozenStock())
     _linear_job.prepare(model, motors, slopes, shares, None)
 
 
-@CompiledOnce
+@CachedJit
 def _linear_job(
     model: JobModel,
     motors: Float[Array, "row joint"],

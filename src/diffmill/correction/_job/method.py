@@ -6,7 +6,7 @@ from typing import TypeAlias
 import numpy as np
 
 from ..._job import Job
-from .._core.method import Corrected
+from .._core.method import MethodResult
 from .._core.path_objective import AbstractObjective, PathObjective
 from .._core.problem import Problem
 from .._method.adam import Adam
@@ -80,7 +80,7 @@ def for_the_path(method: Optimiser) -> GaussNewton | None:
     )
 
 
-def out_of_bounds(method: Optimiser, found: Corrected) -> float:
+def out_of_bounds(method: Optimiser, found: MethodResult) -> float:
     """Return how far the surface leaves the method's bounds [m]; 0 without any."""
     if not isinstance(method, GaussNewton) or method.bounds is None:
         return 0.0

@@ -9,11 +9,11 @@ from jaxtyping import Array, Float
 from ..._job import Job
 from ..._types import BoolSteps
 from ...sim import Run
-from .._core.method import Corrected
+from .._core.method import MethodResult
 from .._core.path_objective import AbstractObjective, PathObjective
 from .._core.problem import Motion, Problem
 from .._core.row_weights import row_weights
-from .._method.ensemble import Ensemble, LatePlant
+from .._method.ensemble import DelayedPlant, Ensemble
 from .._spline.command_limits import LinearLimits
 from .._spline.spline_offsets import SplineOffsets
 from .._surface.finished_surface import FinishedSurface
@@ -164,14 +164,14 @@ def job_ensemble(job: Job, nominal: TipPlant) -> Ensemble | None:
     if known.delay == 0:
         return Ensemble(plant, draws)
     # The path is the uncorrected command: only what is added to it comes late.
-    late = LatePlant(plant, np.asarray(job.path.positions), float(job.tooth_period))
+    late = DelayedPlant(plant, np.asarray(job.path.positions), float(job.tooth_period))
     return Ensemble(
-        late, LatePlant.with_delays(draws, largest=known.delay, seed=known.seed)
+        late, DelayedPlant.with_delays(draws, largest=known.delay, seed=known.seed)
     )
 
 
 def remaining_error(
-    objective: AbstractObjective, problem: Problem, found: Corrected
+    objective: AbstractObjective, problem: Problem, found: MethodResult
 ) -> float:
     """Return the root mean square of what an objective makes small [m].
 

@@ -52,7 +52,7 @@ class JobPiece(AbstractPiece):
         """Return the motion and the state at the last row but for those ahead."""
         before, job = self.state, self.job
         joints = _joints(job, command, before.joints, self.has_joint_commands)
-        motors, memory = JobKinematics(job).motors_of(joints), None
+        motors, memory = JobKinematics(job).motor_positions_from_joints(joints), None
         if job.controller is not None:
             motors, memory = job.controller.follow(
                 motors, job.tooth_period, before.controller
@@ -72,7 +72,7 @@ class JobPiece(AbstractPiece):
         slopes = JobKinematics(job).motor_slopes(
             joints, None if are_joints else command
         )
-        motors = JobKinematics(job).motors_of(joints)
+        motors = JobKinematics(job).motor_positions_from_joints(joints)
         return linear_job(self._own, motors, slopes, self.wall_share, self.state)
 
 
@@ -142,7 +142,7 @@ def _begin(
         if job.joint_start is not None:
             start = jnp.asarray(job.joint_start)
     joints = _joints(job, command, start, has_joint_commands)
-    motors, memory = JobKinematics(job).motors_of(joints), None
+    motors, memory = JobKinematics(job).motor_positions_from_joints(joints), None
     if job.controller is not None:
         period = job.tooth_period
         memory = job.controller.begin(motors, period, rows_before, rows_ahead)

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from ..._job import Job
 from ..._types import FloatRows
-from ...process import AbstractAdjoint, StockHeld
+from ...process import AbstractAdjoint, FrozenStock
 from ...sim import JobKinematics, JobModel, Run, Solution
 from .._core.method import AbstractMethod
 from .._core.problem import AbstractHostPlant, Motion, Plant, Problem
@@ -86,7 +86,7 @@ class TipPlant(AbstractHostPlant):
         joints, _ = known.joints(command)
         return linear_job(
             self.job,
-            known.motors_of(joints),
+            known.motor_positions_from_joints(joints),
             known.motor_slopes(joints, command),
             self.wall_share,
         )
@@ -130,7 +130,7 @@ class JointPlant(AbstractHostPlant):
 
     def __call__(self, command: Float[Array, "step joint"]) -> Motion:
         """Return the motion that follows a command, shape (step, joint)."""
-        motors = JobKinematics(self.job).motors_of(command)
+        motors = JobKinematics(self.job).motor_positions_from_joints(command)
         return _motion(self.job, motors, self.wall_share, self.adjoint)
 
     def run(self, command: FloatRows) -> Motion:
@@ -139,13 +139,13 @@ class JointPlant(AbstractHostPlant):
 
         job, command = self.job, jnp.asarray(command)
         if self.rigid is None:
-            motors = JobKinematics(job).motors_of(command)
+            motors = JobKinematics(job).motor_positions_from_joints(command)
             return _compiled(job, motors, self.wall_share)
         # The tips that belong to the joints, for the record.
         T = jnp.asarray(job.T_base_work)
         tips = jax.vmap(lambda q: forward_kinematics(job.robot, q)[:3, 3])(command)  # pyright: ignore[reportArgumentType]
         tips = (tips - T[:3, 3][None]) @ T[:3, :3]
-        motors = JobKinematics(job).motors_of(command)
+        motors = JobKinematics(job).motor_positions_from_joints(command)
         return solved_motion(
             Solution.of_command(job, self.rigid, tips, self.adjoint, motors)
         )
@@ -154,7 +154,7 @@ class JointPlant(AbstractHostPlant):
         """Return the linear system around a command."""
         job, joints = self.job, jnp.asarray(command)
         motors, slopes = (
-            JobKinematics(job).motors_of(joints),
+            JobKinematics(job).motor_positions_from_joints(joints),
             JobKinematics(job).motor_slopes(joints),
         )
         return linear_job(job, motors, slopes, self.wall_share)
@@ -175,7 +175,7 @@ def _compiled(
     job: Job, motors: Float[Array, "step joint"], wall_share: Steps | None
 ) -> Motion:
     """Return the motion alone; what a derivative would need is left out."""
-    return _motion(job, motors, wall_share, StockHeld())
+    return _motion(job, motors, wall_share, FrozenStock())
 
 
 def job_problem(

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from ..._job import CorrectionSettings, Job
 from ..._types import RealScalarLike
 from ...process import ThroughPoses
-from ...sim import run_with_room
+from ...sim import simulate_with_slot_growth
 from .._core.path_objective import (
     AbstractObjective,
     PathObjective,
@@ -84,7 +84,9 @@ def _tip_problem(job: Job) -> _OffsetProblem:
     if job.is_rigid:
         raise ValueError("Argument `job` must not have a rigid machine, but has.")
     adjoint, desired = ThroughPoses(), jnp.asarray(job.path.positions)
-    job, before = run_with_room(job, desired, adjoint, lambda message, share: None)
+    job, before = simulate_with_slot_growth(
+        job, desired, adjoint, lambda message, share: None
+    )
     before.raise_unless_successful(job)
     surface = job_surface(job, before.rigid, before.wall_share)
     weights = job_weights(job, before.rigid, before.is_cutting, surface)

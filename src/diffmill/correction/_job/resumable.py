@@ -5,7 +5,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from ..._job import Job
-from .._core.method import Corrected
+from .._core.method import MethodResult
 from .._method.adam import Adam
 from .._method.checkpoint import pack_fit, unpack_fit
 from .._method.gauss_newton import GaussNewton
@@ -78,12 +78,12 @@ def segment_rows(job: Job, *, has_own_objective: bool) -> SegmentRows | None:
     return SegmentRows(horizon, overlap)
 
 
-def keeping(
+def with_segment_checkpoints(
     method: Optimiser,
     pieces: AbstractPieces,
     record: CaseRecord,
     segments: SegmentRows | None,
-) -> Callable[..., Corrected]:
+) -> Callable[..., MethodResult]:
     """Return a method that corrects as a job asks, and tells all that it has found.
 
     Args:
@@ -103,7 +103,7 @@ def keeping(
             resume=record.kept("adam") or None,
         )
     if segments is None:
-        return remembering(method, "gauss_newton", record)
+        return with_step_checkpoints(method, "gauss_newton", record)
     return RecedingHorizon(
         pieces,
         method,
@@ -114,9 +114,9 @@ def keeping(
     )
 
 
-def remembering(
+def with_step_checkpoints(
     method: GaussNewton, name: str, record: CaseRecord
-) -> Callable[..., Corrected]:
+) -> Callable[..., MethodResult]:
     """Return a method on a whole path that tells every step under a name."""
     state = record.kept(name)
     return functools.partial(

@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 from ..._job import CorrectionSettings
 from ..._result import RESULTS
 from ..._types import FloatRows
-from .._core.method import AbstractMethod, Corrected, OnProgress, corrected
+from .._core.method import AbstractMethod, MethodResult, OnProgress, corrected
 from .._core.path_objective import AbstractObjective, PathObjective
 from .._core.problem import Problem
 from .._spline.command_limits import LinearLimits, feasible_share
@@ -77,7 +77,7 @@ class Adam(AbstractMethod):
         on_progress: OnProgress | None = None,
         on_memory: OnCheckpoint | None = None,
         resume: Arrays | None = None,
-    ) -> Corrected:
+    ) -> MethodResult:
         """Return the best command of all steps, from `start`.
 
         `on_memory` is called after every step with all that is needed to go on from

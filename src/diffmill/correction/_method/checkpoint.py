@@ -15,7 +15,7 @@ from jaxtyping import PyTree, Shaped
 
 from ..._result import RESULTS
 from ...optimise import LeastSquaresState, LeastSquaresStep
-from .._core.method import Corrected, corrected
+from .._core.method import MethodResult, corrected
 from .._core.problem import Motion, Problem
 from .offset_fit import FitValue
 
@@ -112,7 +112,7 @@ def unpack_tree(arrays: Arrays, like: PyTree) -> PyTree:
     return jax.tree.unflatten(structure, found)
 
 
-def pack_method(found: Corrected) -> dict[str, np.ndarray]:
+def pack_method(found: MethodResult) -> dict[str, np.ndarray]:
     """Return what is needed to have the outcome of a method again, but its steps."""
     return {
         "command": np.asarray(found.command),
@@ -127,7 +127,7 @@ def pack_method(found: Corrected) -> dict[str, np.ndarray]:
 
 def unpack_method(
     arrays: Arrays, problem: Problem, *, is_start: bool = False
-) -> Corrected | None:
+) -> MethodResult | None:
     """Return the outcome of a method.
 
     Args:

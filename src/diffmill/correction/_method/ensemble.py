@@ -117,7 +117,7 @@ def member_of(
     return _Member(plant, parameters)
 
 
-class LatePlant(AbstractUncertainPlant):
+class DelayedPlant(AbstractUncertainPlant):
     """A plant of an ensemble whose offsets come late to a program that is in time.
 
     A command that is late as a whole does the same, only later: nothing that an offset
@@ -133,10 +133,10 @@ class LatePlant(AbstractUncertainPlant):
     nominal: FloatRows
     time_step: RealScalarLike
 
-    def member(self, parameters: Parameters) -> "Late":
+    def member(self, parameters: Parameters) -> "Delayed":
         """Return the plant of one member, whose last parameter is its delay [s]."""
         plant = member_of(self.plant, parameters[:-1])
-        return Late(plant, parameters[-1], self.nominal, self.time_step)
+        return Delayed(plant, parameters[-1], self.nominal, self.time_step)
 
     @staticmethod
     def with_delays(
@@ -153,7 +153,7 @@ class LatePlant(AbstractUncertainPlant):
             seed: Seed of the delays.
 
         Returns:
-            Parameters and delays, for a `LatePlant`, shape (member, parameter + 1).
+            Parameters and delays, for a `DelayedPlant`, shape (member, parameter + 1).
 
         Raises:
             ValueError: The largest delay is negative.
@@ -172,7 +172,7 @@ class LatePlant(AbstractUncertainPlant):
         return np.column_stack([np.asarray(draws), float(largest) * share])
 
 
-class Late(AbstractHostPlant):
+class Delayed(AbstractHostPlant):
     """A plant whose offsets come late.
 
     Attributes:
@@ -204,10 +204,10 @@ class Late(AbstractHostPlant):
         """Return the linear system around a command."""
         late = _late(self, jnp.asarray(command))
         inner = linear_motion(self.plant, late)
-        return LateMotion(inner.motion, inner, self, jnp.asarray(command))
+        return DelayedMotion(inner.motion, inner, self, jnp.asarray(command))
 
 
-class LateMotion(LinearMotion):
+class DelayedMotion(LinearMotion):
     """The linear system behind a delay.
 
     Attributes:
@@ -219,7 +219,7 @@ class LateMotion(LinearMotion):
 
     motion: Motion
     inner: LinearMotion
-    late: Late
+    late: Delayed
     command: Float[Array, "step axis"]
 
     def move(self, changes: Float[Array, "step axis direction"]) -> Motion:
@@ -229,5 +229,7 @@ class LateMotion(LinearMotion):
 
 
 @eqx.filter_jit
-def _late(plant: Late, command: Float[Array, "step axis"]) -> Float[Array, "step axis"]:
+def _late(
+    plant: Delayed, command: Float[Array, "step axis"]
+) -> Float[Array, "step axis"]:
     return plant.late(command)

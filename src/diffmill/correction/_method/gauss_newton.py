@@ -11,7 +11,7 @@ from ..._job import CorrectionSettings
 from ..._result import RESULTS
 from ..._types import FloatRows
 from ...optimise import LeastSquaresState, LevenbergMarquardt
-from .._core.method import AbstractMethod, Corrected, OnProgress, corrected
+from .._core.method import AbstractMethod, MethodResult, OnProgress, corrected
 from .._core.path_objective import AbstractObjective, PathObjective
 from .._core.problem import Problem
 from .._spline.command_limits import LinearLimits
@@ -69,7 +69,7 @@ class GaussNewton(AbstractMethod):
         on_progress: OnProgress | None = None,
         on_state: Callable[[LeastSquaresState], object] | None = None,
         resume: LeastSquaresState | None = None,
-    ) -> Corrected:
+    ) -> MethodResult:
         """Return the best command within knots and bounds, from `start`.
 
         `on_state` is called after every step with all that is needed to go on from

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from ..._types import FloatRows
 from ...numerics import lowpass
 from .._core.error_metrics import rms_contour
-from .._core.method import AbstractMethod, Corrected, OnProgress, corrected
+from .._core.method import AbstractMethod, MethodResult, OnProgress, corrected
 from .._core.problem import Motion, Problem
 from .._spline.projection import clip_offset
 
@@ -39,7 +39,7 @@ class Mirror(AbstractMethod):
         *,
         start: FloatRows | None = None,
         on_progress: OnProgress | None = None,
-    ) -> Corrected:
+    ) -> MethodResult:
         """Return start - (actual - desired), clipped; tip commands only."""
         command = _start(problem, start)
         motion = self.before if start is None else None
@@ -86,7 +86,7 @@ class IteratedMirror(AbstractMethod):
         *,
         start: FloatRows | None = None,
         on_progress: OnProgress | None = None,
-    ) -> Corrected:
+    ) -> MethodResult:
         """Return the best iterate of the grid; tip commands only."""
         command = _start(problem, start)
         motion = self.before if start is None else None
@@ -143,7 +143,7 @@ class SampledMirror(AbstractMethod):
         *,
         start: FloatRows | None = None,
         on_progress: OnProgress | None = None,
-    ) -> Corrected:
+    ) -> MethodResult:
         """Return the best iterate of one branch; tip commands only."""
         rows = self.sample.nominal.shape[0]
         part = None if start is None else start[:rows]

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ..._types import RealScalarLike
-from ...numerics import CompiledOnce
+from ...numerics import CachedJit
 from ...optimise import (
     AbstractProblem,
     LeastSquaresState,
@@ -439,7 +439,7 @@ _host_command = eqx.filter_jit(command_of)
 _host_errors = eqx.filter_jit(errors_of)
 
 
-@CompiledOnce
+@CachedJit
 def _columns(
     linear: LinearMotion,
     coefficients: Float[Array, "coefficient axis"],

@@ -25,7 +25,7 @@ from ...optimise import (
     QuadraticModel,
     least_squares,
 )
-from ...process import StockHeld
+from ...process import FrozenStock
 from ...sim import JobKinematics, rigid_cut
 from .._job.correct import NothingToCorrect
 from .._spline.command_limits import InfeasibleLimit
@@ -99,7 +99,7 @@ def place_workpiece(
     lower, upper = _bounds(job, shift_bounds, angle_bounds, rotation_bounds)
     job = job.with_precision()
     if force is None:
-        force = rigid_cut(job, StockHeld()).force
+        force = rigid_cut(job, FrozenStock()).force
     force = jnp.asarray(force, job.simulation.precision)
     before = _rms_before(job, force)
     task = _task(job, force, before, lower, upper, rows)

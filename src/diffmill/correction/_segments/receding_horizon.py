@@ -37,7 +37,7 @@ from jaxtyping import Int, PyTree
 from ..._result import RESULTS
 from ..._types import FloatRows
 from ...optimise import LeastSquaresStep, LevenbergMarquardt
-from .._core.method import AbstractMethod, Corrected, OnProgress, corrected
+from .._core.method import AbstractMethod, MethodResult, OnProgress, corrected
 from .._core.problem import Problem
 from .._method.checkpoint import Arrays, OnCheckpoint
 from .._method.gauss_newton import GaussNewton, check_held
@@ -114,7 +114,7 @@ class RecedingHorizon(AbstractMethod):
         *,
         start: FloatRows | None = None,
         on_progress: OnProgress | None = None,
-    ) -> Corrected:
+    ) -> MethodResult:
         """Return the best command within knots and bounds, from `start`.
 
         `on_progress` is called after every segment, with the rms contour error of
@@ -330,7 +330,7 @@ class RecedingHorizon(AbstractMethod):
 
     def _corrected(
         self, problem: Problem, spline: SplineOffsets, run: HorizonRun
-    ) -> Corrected:
+    ) -> MethodResult:
         """Run the whole plant with the command found."""
         rows = problem.nominal.shape[0]
         share = self.horizon / rows

@@ -111,7 +111,7 @@ def _run(
     def rows(log_scale: Array) -> tuple[_Rows, tuple[_Rows, RESULTS]]:
         full = jnp.zeros(len(job.parameter_names), log_scale.dtype)
         scaled = job.with_scaled(full.at[np.array(places)].set(log_scale))
-        motors = JobKinematics(scaled).motors_of(joints)
+        motors = JobKinematics(scaled).motor_positions_from_joints(joints)
         ran = JobModel.of(scaled, ThroughPoses()).run(motors)
         found = _Rows(ran.force, ran.actual - desired)
         result = RESULTS.where(jnp.all(is_reached), ran.result, RESULTS.unreachable)

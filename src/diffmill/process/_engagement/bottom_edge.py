@@ -22,9 +22,15 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from ...cutter import AbstractCutter
-from ...numerics import Recomputed, clamp, with_derivative_of
+from ...numerics import Rematerialised, clamp, with_derivative_of
 from ...workpiece import Pose, PoseTrack
-from .._chip import Outward, edge_contact, held_at_rest, safe_norm, way_of
+from .._chip import (
+    RadialDirection,
+    displacement_norm,
+    edge_contact,
+    freeze_derivative_at_standstill,
+    safe_norm,
+)
 from .._process import Process, Substeps, rotation_angles
 from .._state import ProcessState
 from .edge_samples import BottomSamples
@@ -65,12 +71,12 @@ class BottomEdges(eqx.Module):
         # The tips of the tooth before.
         before, now = state.recent.tip[0], predicted.tip
         # Where derivatives go; none goes through the stock.
-        track = process.derivative.tied_to(state.track, process.stock)
+        track = process.derivative.with_pose_derivatives(state.track, process.stock)
         pitch = 2 * math.pi / cutter.flute_count
         place = pitch * jnp.arange(cutter.flute_count, dtype=now.dtype)
         turn = rotation_angles(process, now.dtype, part)
         angles = turn[..., None] + place[None, None]
-        outward = Outward.of(angles)
+        outward = RadialDirection.of(angles)
         e = _by_annulus(outward)
         radius = self._radii(cutter, now.dtype)[None, None, None]
         tip, old = (x[:, None, None, None] for x in (now, before))
@@ -105,7 +111,7 @@ class BottomEdges(eqx.Module):
                 u, v = cell[0] + i, cell[1] + j
                 ends = rays.ends[u, v]
                 if track is not None:
-                    poses = Recomputed.read(rays.poses[u, v])
+                    poses = Rematerialised.read(rays.poses[u, v])
                     frozen, place = jax.lax.stop_gradient(ends), rays.places(u, v)
                     x, y = (
                         stock.origin[a] + stock.spacing * line.astype(now.dtype)
@@ -114,9 +120,9 @@ class BottomEdges(eqx.Module):
                         )
                     )
                     ends = with_derivative_of(
-                        frozen, _made_ends, track, cutter, place, poses, x, y
+                        frozen, _ends_from_poses, track, cutter, place, poses, x, y
                     )
-                ends = Recomputed.read(ends)
+                ends = Rematerialised.read(ends)
                 low, high = ends[..., 0, :], ends[..., 1, :]
                 # Material that begins above the bottom is not on it.
                 is_on = (high > low) & (low < tip[..., 2:] + engagement.discs.band)
@@ -170,8 +176,8 @@ class BottomEdges(eqx.Module):
             chip = jnp.where(is_under, jnp.minimum(chip, left), chip)
         feed = safe_norm(old[0] - tip)
         chip = jnp.where(is_first, chip, 0)
-        touch = edge_contact(chip / way_of(old[0] - tip) - RAMP, feed, RAMP)
-        touch = held_at_rest(touch, feed)
+        touch = edge_contact(chip / displacement_norm(old[0] - tip) - RAMP, feed, RAMP)
+        touch = freeze_derivative_at_standstill(touch, feed)
         h = clamp(0.0, chip, cutter.nominal_radius)
         teeth = jnp.broadcast_to(samples.tooth[..., None], h.shape)
         F_t, F_r, F_a = process.bottom_law.force_per_width(h, touch, teeth)
@@ -197,7 +203,7 @@ def _radius(cutter: AbstractCutter, dtype: jnp.dtype) -> Float[Array, ""]:
     return jnp.asarray(cutter.diameter, dtype) / 2
 
 
-def _made_ends(
+def _ends_from_poses(
     track: PoseTrack,
     cutter: AbstractCutter,
     place: Int[Array, "*place 2 slot"],
@@ -210,7 +216,7 @@ def _made_ends(
     return jnp.where(poses >= 0, height, track.raw_ends(2, place, poses))
 
 
-def _by_annulus(outward: Outward) -> Outward:
+def _by_annulus(outward: RadialDirection) -> RadialDirection:
     """Return directions with an axis for the annuli, of length 1."""
     return jax.tree.map(lambda x: x[..., None], outward)
 
@@ -225,7 +231,7 @@ class _EarlierEnd(NamedTuple):
 def _left_by(
     cutter: AbstractCutter,
     radius: Float[Array, "*#place annulus"],
-    outward: Outward,
+    outward: RadialDirection,
     tip: Float[Array, "*#tip 3"],
     old: Float[Array, "*#tip 3"],
 ) -> _EarlierEnd:
@@ -241,7 +247,7 @@ def _left_by(
 def _since_corner(
     cutter: AbstractCutter,
     radius: Float[Array, "*#place annulus"],
-    outward: Outward,
+    outward: RadialDirection,
     moved: Float[Array, "*#tip 3"],
 ) -> tuple[Float[Array, "*place annulus"], Float[Array, "*place annulus"]]:
     """Return the way since the corner passed over annuli [m], and its descent [m]."""

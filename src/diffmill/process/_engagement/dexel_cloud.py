@@ -35,15 +35,15 @@ from ...workpiece import (
 )
 from .._chip import (
     chip_along,
+    displacement_norm,
     edge_contact,
-    held_at_rest,
+    freeze_derivative_at_standstill,
     safe_norm,
     sideways_share,
-    way_of,
 )
 from .._process import AbstractEngagement, Process, Substeps
 from .._removal_history import tracked
-from .._state import ProcessState, Removed
+from .._state import ProcessState, RemovedVolume
 from .edge_samples import EdgeSamples, Engagement
 from .upright import immersion_angles, wrench_of_discs
 
@@ -100,20 +100,21 @@ class DexelCloud(AbstractEngagement):
     discs: Discs
     window: RemovalWindow
     lag: float
-    looks: int = eqx.field(static=True, default=1)
+    updates_per_period: int = eqx.field(static=True, default=1)
     is_upright: bool = eqx.field(static=True, default=True, init=False)
-    judges_period: bool = eqx.field(static=True, default=True, init=False)
+    samples_whole_period: bool = eqx.field(static=True, default=True, init=False)
 
     def __check_init__(self):
         """Refuse several looks: what a cloud tells, it tells once a period."""
-        if self.looks != 1:
+        if self.updates_per_period != 1:
             raise ValueError(
-                f"Argument `looks` must be 1 for a point cloud, but is {self.looks}."
+                "Argument `updates_per_period` must be 1 for a point cloud, but is "
+                f"{self.updates_per_period}."
             )
 
     def advance(
         self, process: Process, state: ProcessState, index: Int[Array, ""], pose: Pose
-    ) -> tuple[ProcessState, Removed]:
+    ) -> tuple[ProcessState, RemovedVolume]:
         """Enter a pose in the track and remove it from the stock."""
         indices = index[None]
         # Never a constant, which XLA would fold, and then copy the stock in every step.
@@ -133,7 +134,7 @@ class DexelCloud(AbstractEngagement):
                 s.last_tip,
                 s.slots,
                 s.has_overflow,
-                s.is_beyond,
+                s.has_left_window,
             ),
             state,
             (
@@ -142,10 +143,10 @@ class DexelCloud(AbstractEngagement):
                 pose.tip,
                 cut.slots,
                 state.has_overflow | cut.has_overflow,
-                state.is_beyond | cut.is_beyond,
+                state.has_left_window | cut.has_left_window,
             ),
         )
-        return state, Removed(indices, cut.volume, cut.by_shank)
+        return state, RemovedVolume(indices, cut.volume, cut.by_shank)
 
     def engage(
         self,
@@ -238,14 +239,16 @@ class DexelCloud(AbstractEngagement):
         samples: EdgeSamples,
         pose: Pose,
         earlier: Pose,
-        thinned: Pose,
+        decimated: Pose,
     ) -> Float[Array, "angle 6"]:
         """Return force and moment on the tool at the angles of one sub-step."""
-        chip = self.chip(process, samples, pose, earlier, thinned)
+        chip = self.chip(process, samples, pose, earlier, decimated)
         newest = earlier.tip[0] - pose.tip
         feed, step = safe_norm(newest[:2]), 2 * math.pi / self.angles
-        touch = edge_contact(chip / way_of(newest[:2]), feed, step)
-        touch = held_at_rest(touch * sideways_share(feed, safe_norm(newest)), feed)
+        touch = edge_contact(chip / displacement_norm(newest[:2]), feed, step)
+        touch = freeze_derivative_at_standstill(
+            touch * sideways_share(feed, safe_norm(newest)), feed
+        )
         return wrench_of_discs(process, samples, chip, touch)
 
     def chip(
@@ -254,7 +257,7 @@ class DexelCloud(AbstractEngagement):
         samples: EdgeSamples,
         pose: Pose,
         earlier: Pose,
-        thinned: Pose,
+        decimated: Pose,
     ) -> Float[Array, "angle kept element"]:
         """Return the unclipped chip of two cylinders [m], now and a period ago."""
         radius = process.cutter.diameter / 2

@@ -26,27 +26,27 @@ from ...cutter import AbstractCutter, EdgeElements
 from ...numerics import clamp
 from ...workpiece import Discs, Pose, RemovalWindow, occupancy_in_space
 from .._chip import (
-    Outward,
+    RadialDirection,
     UnclippedChip,
     chip_growth,
+    displacement_norm,
     edge_contact,
-    held_at_rest,
+    freeze_derivative_at_standstill,
     rounded_corner,
     safe_norm,
     sideways_share,
-    way_of,
 )
 from .._process import AbstractEngagement, Process, Substeps, rotation_angles
-from .._state import ProcessState, Removed
+from .._state import ProcessState, RemovedVolume
 from .bottom_edge import RAMP
 from .edge_samples import EdgeSamples, Engagement
 from .leading_half import (
     STILL,
     LeadingSamples,
     LeadingTeeth,
-    chip_taken_over,
+    half_turn_chip_weight,
+    half_turn_contact_weight,
     leading_fade,
-    taken_over,
 )
 from .upright import check_looks
 
@@ -100,8 +100,8 @@ class EdgeElementsInSpace(AbstractEngagement):
     lag: float
     profile: EdgeDiscretisation
     is_upright: bool = eqx.field(static=True, default=True)
-    looks: int = eqx.field(static=True, default=1)
-    judges_period: bool = eqx.field(static=True, default=False, init=False)
+    updates_per_period: int = eqx.field(static=True, default=1)
+    samples_whole_period: bool = eqx.field(static=True, default=False, init=False)
 
     def __check_init__(self):
         """Refuse looks that do not divide a period."""
@@ -109,7 +109,7 @@ class EdgeElementsInSpace(AbstractEngagement):
 
     def advance(
         self, process: Process, state: ProcessState, index: Int[Array, ""], pose: Pose
-    ) -> tuple[ProcessState, Removed]:
+    ) -> tuple[ProcessState, RemovedVolume]:
         """Enter the pose in the history, and remove what lies behind the lag."""
         return process.removal.advance(state, index, pose)
 
@@ -139,7 +139,7 @@ class EdgeElementsInSpace(AbstractEngagement):
         ahead = jnp.sum(motion * normals, axis=-1)
         rise = elements.sin_kappa[None, None, None] * jnp.sum(motion * rim, axis=-1)
         growth = chip_growth(ahead, rise, self.angles)
-        growth = held_at_rest(growth, safe_norm(motion))
+        growth = freeze_derivative_at_standstill(growth, safe_norm(motion))
         # What an edge takes: a chip as thick as it lies beyond the pose before.
         old = state.recent[:, :, None, None, None]
         if offsets is None:
@@ -168,13 +168,13 @@ class EdgeElementsInSpace(AbstractEngagement):
             cell.reshape(-1, 3, 3),
             self.discs.band,
             cutter,
-            process.derivative.tied_to(state.track, process.stock),
+            process.derivative.with_pose_derivatives(state.track, process.stock),
             growth=growth.reshape(-1),
             slots=state.slots,
         )
         occupied, chip_share = (share.reshape(angle.shape) for share in found)
         samples = EdgeSamples(angle, outward, tooth, fade * occupied, chip_share)
-        return Engagement(samples, process.removal.thinned_poses(state))
+        return Engagement(samples, process.removal.decimated_poses(state))
 
     def wrench(
         self,
@@ -182,7 +182,7 @@ class EdgeElementsInSpace(AbstractEngagement):
         samples: EdgeSamples,
         pose: Pose,
         earlier: Pose,
-        thinned: Pose,
+        decimated: Pose,
     ) -> Float[Array, "angle 6"]:
         """Return force and moment on the tool at the angles of one sub-step.
 
@@ -192,7 +192,7 @@ class EdgeElementsInSpace(AbstractEngagement):
         e, tooth = samples.outward, samples.tooth
         cutter = process.cutter
         elements = self.profile.elements(cutter, pose.tip.dtype)
-        chip, per_way = self._chip(process, samples, pose, earlier, thinned)
+        chip, per_way = self._chip(process, samples, pose, earlier, decimated)
         newest = _newest(earlier)
         feed = safe_norm(newest - pose.tip)
         # From sample to sample, the chip of an element changes by its share of this.
@@ -209,14 +209,18 @@ class EdgeElementsInSpace(AbstractEngagement):
             lead = _lead(elements, pose.tip - newest, frame, e)[..., n:]
             step = 2 * math.pi / self.angles
             before = feed / cutter.diameter
-            touch = touch.at[..., n:].multiply(taken_over(lead, step, before))
-            factor = held_at_rest(chip_taken_over(lead, step, before), feed)
+            touch = touch.at[..., n:].multiply(
+                half_turn_contact_weight(lead, step, before)
+            )
+            factor = freeze_derivative_at_standstill(
+                half_turn_chip_weight(lead, step, before), feed
+            )
             chip = chip.at[..., n:].multiply(factor)
         if n > 0:
             # The bottom of a tool that does not descend must not rub.
             least = per_way[..., :n] - RAMP
             touch = touch.at[..., :n].set(edge_contact(least, feed, RAMP))
-        touch = held_at_rest(touch, feed)
+        touch = freeze_derivative_at_standstill(touch, feed)
         h = clamp(0.0, chip, cutter.nominal_radius)
         if cutter.flute_count % 2 or self._keeps_all(cutter):
             slope = elements.sin_kappa[None, None] * (e.cos * x - e.sin * y)
@@ -264,10 +268,10 @@ class EdgeElementsInSpace(AbstractEngagement):
         samples: EdgeSamples,
         pose: Pose,
         earlier: Pose,
-        thinned: Pose,
+        decimated: Pose,
     ) -> Float[Array, "angle kept element"]:
         """Return the unclipped chip thickness of one sub-step [m]."""
-        return self._chip(process, samples, pose, earlier, thinned).thickness
+        return self._chip(process, samples, pose, earlier, decimated).thickness
 
     def element_heights(
         self, cutter: AbstractCutter, dtype: jnp.dtype
@@ -297,7 +301,7 @@ class EdgeElementsInSpace(AbstractEngagement):
         count = cutter.flute_count
         teeth = jnp.arange(count, dtype=jnp.int32)[None, None, :, None]
         teeth = jnp.broadcast_to(teeth, angle.shape)
-        outward = Outward.of(angle)
+        outward = RadialDirection.of(angle)
         if self._keeps_all(cutter):
             return LeadingSamples(angle, outward, teeth, jnp.ones_like(angle))
         motion = predicted.tip - state.recent.tip[0]
@@ -312,7 +316,9 @@ class EdgeElementsInSpace(AbstractEngagement):
             n = elements.bottom_count
             step = 2 * math.pi / self.angles
             fade = fade.at[..., n:].set(leading_fade(lead[..., n:], step))
-            fade = held_at_rest(fade, safe_norm(motion)[:, None, None, None])
+            fade = freeze_derivative_at_standstill(
+                fade, safe_norm(motion)[:, None, None, None]
+            )
         return LeadingSamples(angle, outward, leading.place, fade)
 
     def _centroids(
@@ -343,7 +349,7 @@ class EdgeElementsInSpace(AbstractEngagement):
         samples: EdgeSamples,
         pose: Pose,
         earlier: Pose,
-        thinned: Pose,
+        decimated: Pose,
     ) -> UnclippedChip:
         cutter, tooth = process.cutter, samples.tooth
         elements = self.profile.elements(cutter, pose.tip.dtype)
@@ -355,7 +361,7 @@ class EdgeElementsInSpace(AbstractEngagement):
         nothing = 2 * cutter.nominal_radius
         chip = jnp.full_like(samples.outward.sin, nothing)
         newest = _newest(earlier)
-        per_way = chip / way_of(newest - pose.tip)
+        per_way = chip / displacement_norm(newest - pose.tip)
         descent = jnp.full_like(chip[..., :n], nothing)
         covered = jnp.zeros(descent.shape, bool)
         for k in range(1, cutter.flute_count + 1):
@@ -368,15 +374,15 @@ class EdgeElementsInSpace(AbstractEngagement):
                 ahead = _of_teeth(ahead * elements.sin_kappa[None], tooth)
                 left = left + ahead[..., n:]
             chip = chip.at[..., n:].min(left)
-            way = way_of(sides.tip - pose.tip[None, None, None])
+            way = displacement_norm(sides.tip - pose.tip[None, None, None])
             per_way = per_way.at[..., n:].min(left / way)
             if n > 0:
                 ends = old if old.tip.shape[2] == 1 else old[:, :, :n]
                 down, is_under = _descent(cutter, points[..., :n, :], ends)
                 covered = is_under if k == 1 else covered
                 descent = jnp.minimum(descent, jnp.where(is_under, down, nothing))
-        for i in range(thinned.tip.shape[0]):
-            old = thinned[i][None, None, None]
+        for i in range(decimated.tip.shape[0]):
+            old = decimated[i][None, None, None]
             left = _walk(cutter, points[..., n:, :], normals[..., n:, :], old, 1)
             if offsets is not None:
                 # What is older the tooth has left that stands out most.
@@ -385,12 +391,12 @@ class EdgeElementsInSpace(AbstractEngagement):
                 left = left + ahead[..., n:]
             chip = chip.at[..., n:].min(left)
             per_way = per_way.at[..., n:].min(
-                left / way_of(old.tip - pose.tip[None, None, None])
+                left / displacement_norm(old.tip - pose.tip[None, None, None])
             )
         if n > 0:
             descent = jnp.where(covered, descent, 0)
             chip = chip.at[..., :n].set(descent)
-            way = way_of(newest - pose.tip)
+            way = displacement_norm(newest - pose.tip)
             per_way = per_way.at[..., :n].set(descent / way)
         return UnclippedChip(chip, per_way)
 
@@ -399,7 +405,7 @@ def _lead(
     elements: EdgeElements,
     motion: Float[Array, " 3"],
     frame: Float[Array, "3 3"],
-    outward: Outward,
+    outward: RadialDirection,
 ) -> Float[Array, "angle tooth element"]:
     """Return the share of the motion along the normals of elements."""
     x, y, z = frame.T @ (motion / jnp.sqrt(jnp.sum(motion**2) + STILL**2))
@@ -519,7 +525,7 @@ def _edge(
     cutter: AbstractCutter,
     elements: EdgeElements,
     pose: Pose,
-    outward: Outward,
+    outward: RadialDirection,
     offset: Float[Array, "angle kept element"] | None,
 ) -> _EdgePlaces:
     """Return where the edge is.

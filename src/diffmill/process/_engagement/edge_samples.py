@@ -7,7 +7,7 @@ import jax
 from jaxtyping import Array, Float, Int, PyTree
 
 from ...workpiece import Pose
-from .._chip import Outward
+from .._chip import RadialDirection
 
 
 class BottomSamples(eqx.Module):
@@ -19,7 +19,7 @@ class BottomSamples(eqx.Module):
         occupancy: 0 to 1, shape (*substep, angle, tooth, annulus).
     """
 
-    outward: Outward
+    outward: RadialDirection
     tooth: Int[Array, "*substep angle tooth"]
     occupancy: Float[Array, "*substep angle tooth annulus"]
 
@@ -40,7 +40,7 @@ class EdgeSamples(eqx.Module):
     """
 
     angle: Float[Array, "*substep angle kept disc"]
-    outward: Outward
+    outward: RadialDirection
     tooth: Int[Array, "*substep angle kept disc"]
     occupancy: Float[Array, "*substep angle kept element"]
     chip_share: Float[Array, "*substep angle kept element"]
@@ -55,7 +55,7 @@ class EdgeSamples(eqx.Module):
         chip_share: Float[Array, "*substep angle kept element"],
     ) -> "EdgeSamples":
         """Return samples at some angles; arguments as the attributes."""
-        return cls(angle, Outward.of(angle), tooth, occupancy, chip_share)
+        return cls(angle, RadialDirection.of(angle), tooth, occupancy, chip_share)
 
     @property
     def follows_poses(self) -> PyTree[bool]:
@@ -74,11 +74,12 @@ class Engagement(eqx.Module):
 
     Attributes:
         samples: The edges, shape (substep, angle, kept, element).
-        thinned: Some older poses, shape (circle, 3).
-        push: Change of the samples with the poses that are looked up, with those of the
-            period before, and with the tip at the start; None if it is not asked for.
+        decimated: Some older poses, shape (circle, 3).
+        sample_jvp: Change of the samples with the poses that are looked up, with those
+            of the period before, and with the tip at the start; None if it is not asked
+            for.
     """
 
     samples: EdgeSamples
-    thinned: Pose
-    push: Callable[[Array, Array, Array], EdgeSamples] | None = None
+    decimated: Pose
+    sample_jvp: Callable[[Array, Array, Array], EdgeSamples] | None = None

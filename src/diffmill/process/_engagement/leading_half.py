@@ -25,7 +25,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Shaped
 
 from ...numerics import clamp, hat_integral, ramp
-from .._chip import Outward
+from .._chip import RadialDirection
 
 # A motion per tooth below this has no direction [m].
 STILL = 1e-8
@@ -44,7 +44,7 @@ class LeadingSamples(NamedTuple):
     """
 
     angle: Float[Array, "substep angle kept element"]
-    outward: Outward
+    outward: RadialDirection
     place: Int[Array, "substep angle kept element"]
     fade: Float[Array, "substep angle kept element"]
 
@@ -104,7 +104,7 @@ def leading_fade(
     return _faded(lead / angle_step)
 
 
-def taken_over(
+def half_turn_contact_weight(
     lead: Float[Array, "*sample"], angle_step: float, before: Float[Array, ""]
 ) -> Float[Array, "*sample"]:
     """Return by how much contact counts for contact that is faded or not looked up.
@@ -126,12 +126,13 @@ def taken_over(
     return W / (_faded(x) * hat_integral(x + b))
 
 
-def chip_taken_over(
+def half_turn_chip_weight(
     lead: Float[Array, "*sample"], angle_step: float, before: Float[Array, ""]
 ) -> Float[Array, "*sample"]:
     """Return by how much a chip counts for that which is faded or not looked up.
 
-    Arguments and result as of `taken_over`, V over the fade and the undisturbed chip.
+    Arguments and result as of `half_turn_contact_weight`, V over the fade and the
+    undisturbed chip.
 
     Differentiability: continuously differentiable.
     """

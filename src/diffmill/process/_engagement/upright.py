@@ -13,32 +13,32 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ...cutter import AbstractCutter
-from ...numerics import hold
+from ...numerics import materialise
 from ...workpiece import Discs, Pose, RemovalWindow
 from .._chip import (
-    Outward,
+    RadialDirection,
     UnclippedChip,
     chip_along,
     chip_growth,
+    displacement_norm,
     edge_contact,
-    held_at_rest,
+    freeze_derivative_at_standstill,
     layer_share,
     rounded_corner,
     safe_norm,
     sideways_share,
-    way_of,
 )
 from .._process import AbstractEngagement, Process, Substeps, rotation_angles
-from .._state import ProcessState, Removed
+from .._state import ProcessState, RemovedVolume
 from .bottom_edge import BottomEdges
 from .edge_samples import EdgeSamples, Engagement
 from .leading_half import (
     STILL,
     LeadingSamples,
     LeadingTeeth,
-    chip_taken_over,
+    half_turn_chip_weight,
+    half_turn_contact_weight,
     leading_fade,
-    taken_over,
 )
 
 
@@ -54,18 +54,18 @@ class UprightFlat(AbstractEngagement):
     discs: Discs
     window: RemovalWindow
     lag: float
-    looks: int = eqx.field(static=True, default=1)
+    updates_per_period: int = eqx.field(static=True, default=1)
     bottom: BottomEdges | None = None
     is_upright: bool = eqx.field(static=True, default=True, init=False)
-    judges_period: bool = eqx.field(static=True, default=False, init=False)
+    samples_whole_period: bool = eqx.field(static=True, default=False, init=False)
 
     def __check_init__(self):
-        """Refuse looks that do not divide a period."""
+        """Refuse updates that do not divide a period."""
         check_looks(self)
 
     def advance(
         self, process: Process, state: ProcessState, index: Int[Array, ""], pose: Pose
-    ) -> tuple[ProcessState, Removed]:
+    ) -> tuple[ProcessState, RemovedVolume]:
         """Enter the pose in the history, and remove what lies behind the lag."""
         return process.removal.advance(state, index, pose)
 
@@ -97,13 +97,15 @@ class UprightFlat(AbstractEngagement):
             x * outward.cos - y * outward.sin,
             self.angles,
         )
-        growth = held_at_rest(growth, safe_norm(newest)[:, None, None, None])
+        growth = freeze_derivative_at_standstill(
+            growth, safe_norm(newest)[:, None, None, None]
+        )
         chip = jax.vmap(lambda offset, e: chip_along(radius, offset, e, 0.0))(
             newest, outward
         )
         chips = -jnp.clip(chip, 0, radius)[..., None] / radius * rim[..., :2]
         chips = chips.reshape(moves.shape)
-        track = process.derivative.tied_to(state.track, process.stock)
+        track = process.derivative.with_pose_derivatives(state.track, process.stock)
         found = self.discs.occupancy(
             state.stock,
             points,
@@ -122,7 +124,7 @@ class UprightFlat(AbstractEngagement):
             samples = eqx.tree_at(
                 lambda s: s.bottom, samples, bottom, is_leaf=lambda x: x is None
             )
-        return Engagement(samples, process.removal.thinned_poses(state))
+        return Engagement(samples, process.removal.decimated_poses(state))
 
     def wrench(
         self,
@@ -130,22 +132,28 @@ class UprightFlat(AbstractEngagement):
         samples: EdgeSamples,
         pose: Pose,
         earlier: Pose,
-        thinned: Pose,
+        decimated: Pose,
     ) -> Float[Array, "angle 6"]:
         """Return force and moment on the tool at the angles of one sub-step."""
         cutter, outward = process.cutter, samples.outward
         tip, old = pose.tip, earlier.tip
-        chip, per_way = _chip(process, tip, old, thinned.tip, outward)
+        chip, per_way = _chip(process, tip, old, decimated.tip, outward)
         motion = old[0] - tip
         feed = safe_norm(motion[:2])
         step = 2 * math.pi / self.angles
         touch = edge_contact(per_way, feed, step)
-        touch = held_at_rest(touch * sideways_share(feed, safe_norm(motion)), feed)
+        touch = freeze_derivative_at_standstill(
+            touch * sideways_share(feed, safe_norm(motion)), feed
+        )
         if cutter.flute_count % 2 == 0:
             lead = _lead((tip - old[0])[None, None, None, :2], outward)
             before = feed / cutter.diameter
-            touch = touch * held_at_rest(taken_over(lead, step, before), feed)
-            chip = chip * held_at_rest(chip_taken_over(lead, step, before), feed)
+            touch = touch * freeze_derivative_at_standstill(
+                half_turn_contact_weight(lead, step, before), feed
+            )
+            chip = chip * freeze_derivative_at_standstill(
+                half_turn_chip_weight(lead, step, before), feed
+            )
         else:
             slope = outward.cos * motion[0] - outward.sin * motion[1]
             chip = jnp.maximum(chip, 0) + rounded_corner(
@@ -163,11 +171,11 @@ class UprightFlat(AbstractEngagement):
         samples: EdgeSamples,
         pose: Pose,
         earlier: Pose,
-        thinned: Pose,
+        decimated: Pose,
     ) -> Float[Array, "angle kept element"]:
         """Return the unclipped chip thickness of one sub-step [m]."""
         e = samples.outward
-        return _chip(process, pose.tip, earlier.tip, thinned.tip, e).thickness
+        return _chip(process, pose.tip, earlier.tip, decimated.tip, e).thickness
 
     def element_heights(
         self, cutter: AbstractCutter, dtype: jnp.dtype
@@ -177,14 +185,14 @@ class UprightFlat(AbstractEngagement):
 
 
 def check_looks(engagement: AbstractEngagement) -> None:
-    """Refuse looks at the stock that do not divide the sub-steps of a period."""
+    """Refuse updates that do not divide the sub-steps of a period."""
     # The next look is foreseen from the last two sub-steps of one.
-    is_short = 1 < engagement.looks == engagement.substeps
-    if engagement.substeps % engagement.looks or is_short:
+    is_short = 1 < engagement.updates_per_period == engagement.substeps
+    if engagement.substeps % engagement.updates_per_period or is_short:
         raise ValueError(
-            "Argument `looks` must divide the sub-steps of a tooth period "
+            "Argument `updates_per_period` must divide the sub-steps of a tooth period "
             f"({engagement.substeps}), into two or more if it is above 1, but is "
-            f"{engagement.looks}."
+            f"{engagement.updates_per_period}."
         )
 
 
@@ -206,7 +214,7 @@ def wrench_of_discs(
         As `AbstractEngagement.wrench`.
     """
     cutter, discs, e = process.cutter, process.engagement.discs, samples.outward
-    chip, touch = hold((chip, touch))
+    chip, touch = materialise((chip, touch))
     h = jnp.clip(chip, 0, cutter.diameter / 2) * samples.chip_share
     teeth = jnp.broadcast_to(samples.tooth, h.shape)
     touch = jnp.broadcast_to(touch, h.shape)
@@ -216,9 +224,9 @@ def wrench_of_discs(
     width = jnp.clip(cutter.flute_length - lower, 0, discs.height)
     share = samples.occupancy * width[None, None]
     # Stacked: every array of so few numbers costs a call.
-    F_t, F_r, F_a = hold(share[None] * jnp.stack([F_t, F_r, F_a]))
+    F_t, F_r, F_a = materialise(share[None] * jnp.stack([F_t, F_r, F_a]))
     F_x, F_y = -F_t * e.cos - F_r * e.sin, F_t * e.sin - F_r * e.cos
-    force = hold(jnp.sum(jnp.stack([F_x, F_y, F_a]), axis=(2, 3)))
+    force = materialise(jnp.sum(jnp.stack([F_x, F_y, F_a]), axis=(2, 3)))
     # Apart from it: most machines take no moment, and then it is not computed.
     lever = discs.centers(chip.dtype)[None, None]
     moment = jnp.sum(jnp.stack([-lever * F_y, lever * F_x]), axis=(2, 3))
@@ -230,14 +238,14 @@ def _chip(
     process: Process,
     tip: Float[Array, " 3"],
     earlier: Float[Array, "tooth 3"],
-    thinned: Float[Array, "circle 3"],
-    outward: Outward,
+    decimated: Float[Array, "circle 3"],
+    outward: RadialDirection,
 ) -> UnclippedChip:
     cutter, discs = process.cutter, process.engagement.discs
     R = cutter.diameter / 2
     lower = discs.centers(tip.dtype) - discs.height / 2
     # All circles at once: one by one, the few numbers of each cost a call each.
-    offsets = jnp.concatenate([earlier, thinned]) - tip[None]
+    offsets = jnp.concatenate([earlier, decimated]) - tip[None]
     # The tooth just before cut every layer that this one cuts with its side.
     is_older = np.arange(len(offsets)) > 0
     if_missed = jnp.where(
@@ -245,8 +253,8 @@ def _chip(
     )
     left = jax.vmap(chip_along, (None, 0, None, 0))(R, offsets, outward, if_missed)
     shares = jax.vmap(layer_share, (0, None, None))(offsets[:, 2], lower, discs.height)
-    left, shares, inverse = hold(
-        (left, shares[:, None, None], 1 / way_of(offsets[:, :2]))
+    left, shares, inverse = materialise(
+        (left, shares[:, None, None], 1 / displacement_norm(offsets[:, :2]))
     )
     chip, per_way = left[0], left[0] * inverse[0]
     for k in range(1, len(offsets)):
@@ -292,7 +300,7 @@ def _leading_samples(
 ) -> LeadingSamples:
     cutter = process.cutter
     angle = immersion_angles(process, predicted.dtype, part)
-    outward = Outward.of(angle)
+    outward = RadialDirection.of(angle)
     if cutter.flute_count == 1:
         place = jnp.zeros(angle.shape, jnp.int32)
         return LeadingSamples(angle, outward, place, jnp.ones_like(angle))
@@ -303,12 +311,12 @@ def _leading_samples(
     fade = jnp.ones_like(lead)
     if cutter.flute_count % 2 == 0:
         fade = leading_fade(lead, 2 * math.pi / process.engagement.angles)
-        fade = held_at_rest(fade, safe_norm(motion))
+        fade = freeze_derivative_at_standstill(fade, safe_norm(motion))
     return LeadingSamples(angle, outward, teeth.place, fade)
 
 
 def _lead(
-    motion: Float[Array, "*#sample 2"], outward: Outward
+    motion: Float[Array, "*#sample 2"], outward: RadialDirection
 ) -> Float[Array, "*sample"]:
     """Return the sine of the angle by which a tooth has entered the leading half."""
     motion = motion / jnp.sqrt(jnp.sum(motion**2, -1, keepdims=True) + STILL**2)

@@ -23,7 +23,7 @@ from .scalar_code import (
     as_scalar_code,
     cross,
     dot,
-    hold,
+    materialise,
     numbers,
     product,
     scale,
@@ -102,15 +102,15 @@ def _inertia_to_parent(frame: LinkFrame, inertia: _Inertia) -> _Inertia:
     """Return an inertia at the parent's origin in its axes."""
     E, p = frame
     back = transpose(E)
-    left = hold([product(E, block) for block in inertia])
+    left = materialise([product(E, block) for block in inertia])
     turn = lambda half: lambda i, j: dot(half[i], E[j])
-    A, B, J = hold(
+    A, B, J = materialise(
         (symmetric(turn(left[0])), product(left[1], back), symmetric(turn(left[2])))
     )
     # With the linear motion v' = v - p x w of the link's origin: B' = B - A [p] and
     # J' = J + [p] B - B^T [p] - [p] A [p] = J + [p] B' + ([p] B)^T.
     A_p = transpose(tuple(cross(p, row) for row in A))
-    B_new, p_B = hold(
+    B_new, p_B = materialise(
         (add_matrices(B, transpose(A_p)), tuple(cross(p, c) for c in transpose(B)))
     )
     columns = transpose(B_new)
@@ -134,7 +134,7 @@ def _link_inertias(robot: Robot) -> _Links:
         )
         first.append(h)
         inertias.append(_Inertia(A, B, J))
-    return hold(_Links(first, inertias))
+    return materialise(_Links(first, inertias))
 
 
 def _motion(
@@ -154,15 +154,15 @@ def _motion(
         v, w = V[:3], V[3:]
         slides = robot.body_kinds[i] == "prismatic"
         c = turned(w) + (zero,) * 3 if slides else turned(v) + turned(w)
-        V, c = hold((_moved(V, _axis(robot.body_kinds[i]), qd[i]), c))
+        V, c = materialise((_moved(V, _axis(robot.body_kinds[i]), qd[i]), c))
         v, w = V[:3], V[3:]
         # symbols: p momentum, L angular momentum about the link's origin
-        p, L = hold(
+        p, L = materialise(
             (add(scale(A[0][0], v), cross(w, h)), add(apply(J, w), cross(h, v)))
         )
         motions.append(V)
         drift.append(c)
-        force.append(hold(cross(w, p) + add(cross(w, L), cross(v, p))))
+        force.append(materialise(cross(w, p) + add(cross(w, L), cross(v, p))))
     return _Motion(drift, force)
 
 
@@ -189,13 +189,13 @@ def _articulated(
         if diagonal is not None:
             felt = felt + diagonal[i]
         felt = jnp.where(felt > floor * scale_of, felt, jnp.nan)
-        inverse = hold(1.0 / felt)
+        inverse = materialise(1.0 / felt)
         parent, carried = robot.parents[i], None
         if parent >= 0:
-            k = hold(scale(inverse, U))
+            k = materialise(scale(inverse, U))
             f, n = U[:3], U[3:]
             # The joint's own direction carries nothing.
-            A, B, J = rest = hold(
+            A, B, J = rest = materialise(
                 _Inertia(
                     symmetric(lambda i, j: A[i][j] - k[i] * f[j]),  # noqa: B023
                     tuple(add(B[i], scale(-k[i], n)) for i in range(3)),
@@ -205,10 +205,12 @@ def _articulated(
             if drift is not None:
                 v, w = drift[i][:3], drift[i][3:]
                 force = add(apply(A, v), apply(B, w))
-                carried = hold(force + add(apply(transpose(B), v), apply(J, w)))
+                carried = materialise(force + add(apply(transpose(B), v), apply(J, w)))
             moved = _inertia_to_parent(frames[i], rest)
             pairs = zip(inertias[parent], moved, strict=True)
-            inertias[parent] = hold(_Inertia(*(add_matrices(a, b) for a, b in pairs)))
+            inertias[parent] = materialise(
+                _Inertia(*(add_matrices(a, b) for a, b in pairs))
+            )
         found.append(_Articulated(U, inverse, carried))
     return found[::-1]
 
@@ -228,19 +230,19 @@ def _accelerations(
     u: list[Array] = [zero] * robot.body_count
     for i in reversed(range(robot.body_count)):
         U, inverse, carried = joints[i]
-        u[i] = hold(inverse * (tau[i] - force[i][axes[i]]))
+        u[i] = materialise(inverse * (tau[i] - force[i][axes[i]]))
         parent = robot.parents[i]
         if parent >= 0:
             f = add(force[i], scale(u[i], U))
-            f = hold(f if carried is None else add(f, carried))
-            force[parent] = hold(add(force[parent], _to_parent(frames[i], f)))
+            f = materialise(f if carried is None else add(f, carried))
+            force[parent] = materialise(add(force[parent], _to_parent(frames[i], f)))
     found, motions = [], []
     for i, parent in enumerate(robot.parents):
         a = _to_link(frames[i], motions[parent] if parent >= 0 else base)
-        a = hold(a if motion is None else add(a, motion.drift[i]))
-        qdd = hold(u[i] - joints[i].inverse * dot(joints[i].U, a))
+        a = materialise(a if motion is None else add(a, motion.drift[i]))
+        qdd = materialise(u[i] - joints[i].inverse * dot(joints[i].U, a))
         found.append(qdd)
-        motions.append(hold(_moved(a, axes[i], qdd)))
+        motions.append(materialise(_moved(a, axes[i], qdd)))
     return tuple(found)
 
 
@@ -257,9 +259,11 @@ def _add_wrench(
     f, n = wrench[:3], wrench[3:]
     for i in reversed(path):
         back = transpose(frames[i].rotation)
-        f, n = hold((apply(back, f), apply(back, n)))
+        f, n = materialise((apply(back, f), apply(back, n)))
     n = add(n, cross(tool_origin(robot), f))
-    force[joint] = hold(tuple(a - b for a, b in zip(force[joint], f + n, strict=True)))
+    force[joint] = materialise(
+        tuple(a - b for a, b in zip(force[joint], f + n, strict=True))
+    )
 
 
 def _aba(

@@ -6,7 +6,16 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._model.robot import Robot
-from .scalar_code import Matrix, Vector, add, dot, hold, numbers, scale, transpose
+from .scalar_code import (
+    Matrix,
+    Vector,
+    add,
+    dot,
+    materialise,
+    numbers,
+    scale,
+    transpose,
+)
 
 
 class LinkFrame(NamedTuple):
@@ -29,11 +38,11 @@ def link_frames(robot: Robot, q: Vector) -> list[LinkFrame]:
     for kind, R, p, q_i in zip(robot.body_kinds, rotations, positions, q, strict=True):
         x, y, z = transpose(R)
         if kind == "prismatic":
-            frames.append(hold(LinkFrame(R, add(p, scale(q_i, z)))))
+            frames.append(materialise(LinkFrame(R, add(p, scale(q_i, z)))))
             continue
-        s, c = hold((jnp.sin(q_i), jnp.cos(q_i)))
+        s, c = materialise((jnp.sin(q_i), jnp.cos(q_i)))
         x, y = add(scale(c, x), scale(s, y)), add(scale(c, y), scale(-s, x))
-        frames.append(hold(LinkFrame(transpose((x, y, z)), p)))
+        frames.append(materialise(LinkFrame(transpose((x, y, z)), p)))
     return frames
 
 

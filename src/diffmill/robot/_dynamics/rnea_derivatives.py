@@ -37,7 +37,7 @@ from .scalar_code import (
     as_scalar_code,
     cross,
     dot,
-    hold,
+    materialise,
     numbers,
     product,
     scale,
@@ -172,14 +172,14 @@ def _base_frames(robot: Robot, q: Vector) -> _BaseFrames:
         if parent >= 0:
             turn = rotations[parent]
             p = add(positions[parent], apply(turn, p))
-            R, p = hold((product(turn, R), p))
+            R, p = materialise((product(turn, R), p))
         rotations.append(R)
         positions.append(p)
     tool = tool_origin(robot)
     if robot.flange_joint >= 0:
         turned = apply(rotations[robot.flange_joint], tool)
         tool = add(positions[robot.flange_joint], turned)
-    return _BaseFrames(rotations, positions, hold(tool))
+    return _BaseFrames(rotations, positions, materialise(tool))
 
 
 def _body(
@@ -194,11 +194,11 @@ def _body(
     J = symmetric(
         lambda i, j: dot(turned[i], R[j]) - h[i] * center[j] + (h_c if i == j else zero)
     )
-    h, J = hold((h, J))
+    h, J = materialise((h, J))
     none = ((zero,) * 3,) * 3
     body = _Carried(m, h, J, (zero,) * 3, none, (zero,) * 6)
     v, w = V[:3], V[3:]
-    momentum = hold(_inertia_times(body, V))
+    momentum = materialise(_inertia_times(body, V))
     L = momentum[3:]
     # symbols: W is w x J, row by row of its transpose
     W = tuple(cross(w, column) for column in J)
@@ -215,7 +215,7 @@ def _body(
     minus_L = ((zero, L[2], -L[1]), (-L[2], zero, L[0]), (L[1], -L[0], zero))
     N = add_matrices(K, minus_L)
     force = add(_inertia_times(body, A), _spatial_force(V, momentum))
-    return hold(_Carried(m, h, J, momentum[:3], N, force))
+    return materialise(_Carried(m, h, J, momentum[:3], N, force))
 
 
 class _Tree(NamedTuple):
@@ -237,13 +237,13 @@ def _walk(robot: Robot, q: Vector, qd: Vector, qdd: Vector) -> _Tree:
         z = tuple(row[2] for row in rotations[i])
         slides = robot.body_kinds[i] == "prismatic"
         S = z + (zero,) * 3 if slides else cross(offset, z) + z
-        offset, S = hold((offset, S))
+        offset, S = materialise((offset, S))
         V = velocities[parent] if parent >= 0 else (zero,) * 6
         A = accelerations[parent] if parent >= 0 else lift
-        rate = hold(_spatial(V, S))
-        second = hold(add(_spatial(A, S), _spatial(V, rate)))
+        rate = materialise(_spatial(V, S))
+        second = materialise(add(_spatial(A, S), _spatial(V, rate)))
         A = add(A, scale(qdd[i], S), scale(qd[i], rate))
-        V, A = hold((add(V, scale(qd[i], S)), A))
+        V, A = materialise((add(V, scale(qd[i], S)), A))
         velocities.append(V)
         accelerations.append(A)
         joints.append(_Joint(S, rate, second))
@@ -257,7 +257,7 @@ def _carried(robot: Robot, bodies: list[_Carried]) -> list[_Carried]:
     for i in reversed(range(robot.body_count)):
         parent = robot.parents[i]
         if parent >= 0:
-            sums[parent] = hold(jax.tree.map(jnp.add, sums[parent], sums[i]))
+            sums[parent] = materialise(jax.tree.map(jnp.add, sums[parent], sums[i]))
     return sums
 
 
@@ -286,7 +286,7 @@ def _stacked(
     columns: list[tuple[Vector, ...]] = []
     for joint, body in zip(joints, _carried(robot, bodies), strict=True):
         S, rate, second = joint
-        momentum = hold(_inertia_times(body, S))
+        momentum = materialise(_inertia_times(body, S))
         # symbols: 2 B^T S has an angular part alone
         swirl = add(cross(body.p, S[:3]), cross(body.p, S[:3]))
         swirl = add(swirl, apply(transpose(body.N), S[3:]))
@@ -297,7 +297,7 @@ def _stacked(
         )
         by_qd = _inertia_times(body, rate)
         by_qd = add(_coriolis_times(body, S), by_qd, by_qd)
-        columns.append(hold((S, rate, second, momentum, swirl, by_q, by_qd)))
+        columns.append(materialise((S, rate, second, momentum, swirl, by_q, by_qd)))
     S, rate, second, momentum, swirl, by_q, by_qd = (
         _table(list(rows), q[0]) for rows in zip(*columns, strict=True)
     )
@@ -310,7 +310,7 @@ def _stacked(
     M = _pairs(momentum, S)
     P = choose(_pairs(momentum, second) + _pairs(swirl, rate[3:]), _pairs(S, by_q))
     Q = choose(_pairs(momentum, rate + rate) + _pairs(swirl, S[3:]), _pairs(S, by_qd))
-    M, P, Q = hold((choose(M, jnp.swapaxes(M, 0, 1)), P, Q))
+    M, P, Q = materialise((choose(M, jnp.swapaxes(M, 0, 1)), P, Q))
     moves = robot.tool_mask().reshape(1, -1, *[1] * (q.ndim - 1))
     J = jnp.where(moves, S, 0.0)
     return jnp.concatenate([M, P - _by_wrench(J, wrench, above), Q, J])

@@ -6,9 +6,9 @@ nothing and a batch runs along SIMD registers.
 
 XLA's CPU compiler fuses such code until every result computes its own inputs again.
 Two attributes of its calls stop that, for these operations alone: what a call that is
-not inlined returns is stored (`hold`), and a call that is declared small is compiled to
-one function without a dispatch per operation (`as_scalar_code`). They are hints:
-without them the results are the same.
+not inlined returns is stored (`materialise`), and a call that is declared small is
+compiled to one function without a dispatch per operation (`as_scalar_code`). They are
+hints: without them the results are the same.
 """
 
 from collections.abc import Callable
@@ -20,7 +20,7 @@ from jax.custom_batching import custom_vmap
 from jax.experimental.xla_metadata import set_xla_metadata
 from jaxtyping import Array, Float, PyTree
 
-from ...numerics import hold
+from ...numerics import materialise
 from .._model.robot import Robot
 
 Vector: TypeAlias = tuple[Array, ...]
@@ -35,7 +35,7 @@ _BLOCK = 256
 def _small_call(function: Callable[..., Array]) -> Callable[..., Array]:
     # XLA 0.10 stops at an argument that a small call in a loop does not use: all are
     # used by holding them.
-    compiled = jax.jit(lambda *args: function(*hold(args)))
+    compiled = jax.jit(lambda *args: function(*materialise(args)))
 
     def call(*args: Any) -> Array:
         if jax.default_backend() != "cpu":

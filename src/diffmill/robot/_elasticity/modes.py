@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import jax.scipy.linalg as jsl
 from jaxtyping import Array, Bool, Float
 
-from ...numerics import CompiledOnce
+from ...numerics import CachedJit
 from .._dynamics.crba import mass_matrix
 from .._kinematics.forward import jacobian
 from .._model.massless_joints import factor, refuse_singular
@@ -94,7 +94,7 @@ def _natural_frequencies(
     return _omega(jnp.linalg.eigvalsh(softness)[::-1]) / (2.0 * jnp.pi)
 
 
-@CompiledOnce
+@CachedJit
 def _mode_shapes(robot: Robot, q: Float[Array, " joint"]) -> Modes:
     # symbols: y column of an orthonormal basis, phi = L^-T y, so phi^T M phi = 1
     L = factor(mass_matrix(robot, q))

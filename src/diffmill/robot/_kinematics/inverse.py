@@ -16,9 +16,9 @@ from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float, Int
 
 from ..._arrays import first_rows, is_traced, on_device
-from ..._live_rows import live_rows, map_rows, pad_rows, padded_count, scan_rows
+from ..._padding import live_rows, map_rows, pad_rows, padded_count, scan_rows
 from ..._types import Transform
-from ...numerics import CompiledOnce, small_inverse
+from ...numerics import CachedJit, small_inverse
 from .._model.robot import JointVector, Robot, joint_vector
 from .forward import joint_frames
 from .pose_error import (
@@ -148,7 +148,7 @@ def inverse_kinematics_path(
     return first_rows(found, count)
 
 
-@CompiledOnce
+@CachedJit
 def _solve_pose(
     robot: Robot,
     T: Float[Array, "4 4"],
@@ -161,7 +161,7 @@ def _solve_pose(
     return _finish(robot, T, q, tool_rotation)
 
 
-@CompiledOnce
+@CachedJit
 def _solve_path(
     robot: Robot,
     Ts: Float[Array, "step 4 4"],

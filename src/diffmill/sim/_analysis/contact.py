@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ...numerics import CompiledOnce
+from ...numerics import CachedJit
 from ...workpiece import CutInterval, Pose, Rays, Stock
 from .contact_depth import ContactTest, holder_depth, tool_depth
 
@@ -210,7 +210,7 @@ class _Chunk(eqx.Module):
     has_overflow: Bool[Array, ""]
 
 
-@CompiledOnce
+@CachedJit
 def _chunk(
     ends: Float[Array, "x y 2 slot"],
     origin: Float[Array, " 2"],

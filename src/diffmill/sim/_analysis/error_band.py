@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from ..._job import Job, parameter_uncertainty
-from ...process import StockHeld, wall_deviation
+from ...process import FrozenStock, wall_deviation
 from ...toolpath import contour_vector
 from .._job.simulate import Solution, job_machine, job_process
 from .._linear.linear_run import linearise
@@ -144,7 +144,7 @@ def _shifts(
 
     def model(_: CuttingMachine | None, parameters: Array) -> CuttingMachine:
         scaled = job.with_scaled(parameters)
-        return CuttingMachine(job_machine(scaled), job_process(scaled, StockHeld()))
+        return CuttingMachine(job_machine(scaled), job_process(scaled, FrozenStock()))
 
     count = directions.shape[0]
     machine, process = model(None, jnp.zeros(count, desired.dtype))

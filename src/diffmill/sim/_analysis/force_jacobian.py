@@ -122,7 +122,7 @@ def _slopes(process: Process, cut: Engagement, middles: Pose, recent: Pose) -> _
         ) -> Float[Array, " 3"]:
             now, before = Pose(tip, pose.axis), Pose(tips, earlier.axis)
             found = process.engagement.wrench(
-                process, samples, now, before, cut.thinned
+                process, samples, now, before, cut.decimated
             )
             return jnp.mean(found[:, :3], axis=0)
 

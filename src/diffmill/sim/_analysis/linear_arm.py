@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
-from ...numerics import CompiledOnce
+from ...numerics import CachedJit
 from ...robot import ArmTerms, Robot, TipModes
 from .._machine._integrator.base import ArmState, MotorCommand, held_rate
 
@@ -39,7 +39,7 @@ def linear_modes(modes: TipModes, row_count: int) -> LinearArm:
     return jax.tree.map(repeated, LinearArm(A, G, C))
 
 
-@CompiledOnce
+@CachedJit
 def linear_arms(
     robot: Robot,
     T_base_work: Float[Array, "4 4"],

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..._job import Job, parameter_uncertainty
-from ...process import StockHeld
+from ...process import FrozenStock
 from .._job.simulate import Solution
 
 
@@ -64,7 +64,7 @@ def mismatch(job: Job, solution: Solution, share: float = 0.1) -> tuple[Mismatch
         is_off = parameter_uncertainty(names, **{**off, kind: 1.0})
         other = job.with_scaled(jnp.asarray(is_off * np.log(factor)))
         run = Solution.of_command(
-            other, solution.rigid, solution.commanded, StockHeld()
+            other, solution.rigid, solution.commanded, FrozenStock()
         )
         error = np.asarray(run.contour_error)[cuts]
         return float(np.sqrt(np.mean(error**2))) if error.size else 0.0

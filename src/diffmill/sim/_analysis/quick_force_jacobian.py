@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ...cutter import AbstractCutter, EdgeElements
-from ...numerics import CompiledOnce
+from ...numerics import CachedJit
 from ...process import EdgeElementsInSpace, Process
 from ...workpiece import Pose, Stock
 from .monodromy import Regeneration
@@ -78,7 +78,7 @@ def _near_rows(
     return np.flatnonzero(is_kept & is_near)[::-1]
 
 
-@CompiledOnce
+@CachedJit
 def _slopes(
     process: Process, earlier: Pose, count: Int[Array, ""], now: Pose, periods: int
 ) -> Float[Array, "period piece tooth 3 3"]:

@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 
 from ..._job import Job
 from ..._types import FloatRows3
-from ...process import StockHeld, ThroughPoses, wall_deviation, wall_shares
+from ...process import FrozenStock, ThroughPoses, wall_deviation, wall_shares
 from ...toolpath import contour_error, contour_vector
 from .._job.simulate import JobModel, rigid_cut
 from .._machine.commands import JobKinematics
@@ -100,7 +100,7 @@ def sensitivity(job: Job, *, commanded: FloatRows3 | None = None) -> Sensitivity
     command = jnp.asarray(command, dtype)
     names = job.parameter_names
     # The side of the wall, and with it the instant, is seen in what is left.
-    finished = rigid_cut(job, StockHeld()).stock
+    finished = rigid_cut(job, FrozenStock()).stock
     shares = wall_shares(
         jnp.asarray(job.path.positions), job.tool_axes, job.cutter, finished
     )
@@ -138,7 +138,7 @@ def _pushed(
 
     def errors(log_scale: Float[Array, " parameter"]) -> _Pushed:
         scaled = job.with_scaled(log_scale)
-        motors = JobKinematics(scaled).motors_of(joints)
+        motors = JobKinematics(scaled).motor_positions_from_joints(joints)
         ran = JobModel.of(scaled, ThroughPoses()).run(motors)
         at = desired + wall_deviation(ran.ends, desired, shares)
         return _Pushed(

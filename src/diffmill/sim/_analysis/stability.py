@@ -22,10 +22,10 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ..._job import Job
-from ..._live_rows import padded_count
 from ..._moving_rows import is_moving, ways
+from ..._padding import padded_count
 from ..._types import Transform
-from ...process import Process, StockHeld
+from ...process import FrozenStock, Process
 from ...robot import ArmTerms, Robot
 from ...workpiece import Pose
 from .._job.simulate import Solution, job_process, simulate
@@ -385,7 +385,7 @@ def _process(job: Job) -> Process:
     other: its slope is that of no vibration, and the depth of the cut is held anyway.
     """
     settings = dataclasses.replace(job.simulation, chip="near_far", has_bottom=False)
-    return job_process(dataclasses.replace(job, simulation=settings), StockHeld())
+    return job_process(dataclasses.replace(job, simulation=settings), FrozenStock())
 
 
 def _machine(job: Job) -> ElasticArm | ModalMachine:
@@ -403,7 +403,7 @@ def _motion(job: Job, solution: Solution) -> "_Motion":
     """
     tips = _mean_about(solution.commanded, solution.actual)
     if job.modes is not None:
-        rows = JobKinematics(job).tool_rows
+        rows = JobKinematics(job).tool_command
         return _Motion(rows(solution.commanded), rows(tips), tips)
     motors, joints = solution.motor_positions, solution.joint_positions
     assert motors is not None and joints is not None

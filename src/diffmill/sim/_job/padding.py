@@ -2,7 +2,7 @@
 
 A compiled program serves arrays of one shape, so a path that is one row longer would
 be compiled anew. A path is therefore padded to one of few lengths before it runs, and
-the rows behind its last one are not simulated (`diffmill/_live_rows.py`).
+the rows behind its last one are not simulated (`diffmill/_padding.py`).
 """
 
 import dataclasses

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..._job import Job
-from ...process import EdgeElementsInSpace, Process, StockHeld
+from ...process import EdgeElementsInSpace, FrozenStock, Process
 from ...workpiece import Pose
 from .._analysis.stability import joint_poses
 from .._machine.machine import Run
@@ -74,8 +74,8 @@ class Replay(eqx.Module):
         job = job.with_precision()
         path = _actual_poses(job, solution)
         _check_row(chip_row, path)
-        run = rigid_cut(job, StockHeld(), along=path, chip_row=chip_row)
-        return cls(job_process(job, StockHeld()), path, chip_row, run)
+        run = rigid_cut(job, FrozenStock(), along=path, chip_row=chip_row)
+        return cls(job_process(job, FrozenStock()), path, chip_row, run)
 
     @classmethod
     def along(cls, process: Process, path: Pose, chip_row: int) -> "Replay":

@@ -13,14 +13,14 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..._arrays import cast_floats, has_values, is_traced, on_device
 from ..._job import Job
-from ..._live_rows import pad_rows
+from ..._padding import pad_rows
 from ..._result import RESULTS, SimulationFailed
 from ..._types import FloatRows, FloatRows3, readable_signature
-from ...numerics import CompiledOnce
+from ...numerics import CachedJit
 from ...process import (
     AbstractAdjoint,
+    FrozenStock,
     Process,
-    StockHeld,
     ThroughRays,
     choose_engagement,
     wall_deviation,
@@ -253,7 +253,7 @@ def simulate(
             `.result` tells.
         on_progress: Called between the rigid and the coupled part.
         adjoint: How to differentiate through the removal; `ThroughRays()` if not given.
-            Under `jit` where nothing is differentiated, `StockHeld()` is faster: ends
+            Under `jit` where nothing is differentiated, `FrozenStock()` is faster: ends
             then need not remember what made them.
         commanded: Tip positions that the program commands instead of the desired
             path [m], shape (step, 3); by default those of the job, if it has any.
@@ -277,7 +277,7 @@ def simulate(
     job = dataclasses.replace(job, commanded=None)
     shape, dtype = (job.path.step_count, 3), np.dtype(job.simulation.precision)
     commanded = _checked(commanded, "commanded", shape, dtype)
-    solution = run_with_room(job, commanded, adjoint, tell).solution
+    solution = simulate_with_slot_growth(job, commanded, adjoint, tell).solution
     tell("done", 1.0)
     if throw and not isinstance(solution.actual, jax.core.Tracer):
         solution.raise_unless_successful(job)
@@ -303,7 +303,7 @@ class SolvedJob(NamedTuple):
     solution: Solution
 
 
-def run_with_room(
+def simulate_with_slot_growth(
     job: Job,
     commanded: Float[Array, "step 3"],
     adjoint: AbstractAdjoint,
@@ -350,7 +350,7 @@ def job_process(job: Job, derivative: AbstractAdjoint) -> Process:
         axial_depth=settings.axial_depth,
         angles=settings.angles,
         substeps=settings.substeps,
-        looks=settings.looks,
+        updates_per_period=settings.updates_per_period,
         element_height=settings.element_height,
         axes=np.array(settings.axes) if settings.axes else None,
         is_upright=not settings.axes,
@@ -505,7 +505,7 @@ class JobModel(eqx.Module):
         return self.machine.run(self.process, motors, row_count=self.path.row_count)
 
 
-@CompiledOnce
+@CachedJit
 def _cut_along(
     program: JobModel,
     positions: Float[Array, "step 3"],
@@ -521,7 +521,7 @@ def _cut_along(
     return machine.run_rows(program.process, path, program.path.row_count)
 
 
-@CompiledOnce
+@CachedJit
 def _remove_rest(process: Process, ending: Ending) -> RunEnd:
     """Return what removes all that waits: the same for every machine."""
     return ending.remove(process)
@@ -583,7 +583,7 @@ class _Command(eqx.Module):
     is_reached: Bool[Array, " step"]
 
 
-@CompiledOnce
+@CachedJit
 def _follow(program: JobModel, finished: Stock, command: _Command) -> _Followed:
     """Return the run of a command, given what the rigid cut leaves."""
     path, process = program.path, program.process
@@ -619,14 +619,14 @@ def _needed(adjoint: AbstractAdjoint, arguments: object) -> AbstractAdjoint:
 
     So a run that is compiled for one method serves all others.
     """
-    return adjoint if is_traced(arguments) else StockHeld()
+    return adjoint if is_traced(arguments) else FrozenStock()
 
 
 def _prepare(job: Job) -> None:
     """Compile the run of a command while the rigid cut is compiled and runs."""
     if job.is_rigid:
         return
-    program = JobModel.of(padded_job(job), StockHeld())
+    program = JobModel.of(padded_job(job), FrozenStock())
     steps, dtype = program.path.step_count, np.dtype(job.simulation.precision)
     joints = 3 if job.robot is None else len(job.robot.joint_names)
     tips, motors = (on_device(np.zeros((steps, n), dtype)) for n in (3, joints))

@@ -26,7 +26,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int, PyTree, Shaped
 
-from ..._live_rows import live_rows, scan_rows, when_live
+from ..._padding import if_valid, live_rows, scan_rows
 from ..._types import IntScalar
 from ...process import AbstractEngagement, Process
 from .._machine.machine import (
@@ -87,7 +87,7 @@ class WallChange(eqx.Module):
     force: Float[Array, "step 3 direction"]
 
 
-class Moving(NamedTuple):
+class StateChange(NamedTuple):
     """Changes of the state at the start of a period, in some directions.
 
     Attributes:
@@ -221,7 +221,7 @@ class LinearRun(eqx.Module):
         self,
         motors: Float[Array, "step joint direction"],
         parameters: Float[Array, "parameter direction"],
-    ) -> Moving:
+    ) -> StateChange:
         """Return the change of the state in which a run begins."""
         directions = motors.shape[-1]
         head = motors[:3].reshape(-1, directions)
@@ -231,11 +231,11 @@ class LinearRun(eqx.Module):
         r = jnp.broadcast_to(first[None, None], size)
         # The last row stands for those before the first, which do not move.
         history = jnp.zeros((motors.shape[0], *first.shape), x.dtype)
-        return Moving(x, r, first, history)
+        return StateChange(x, r, first, history)
 
     def _period(
-        self, state: Moving, row: tuple[Array, ...], parameters: Array
-    ) -> tuple[Moving, tuple[Array, Array]]:
+        self, state: StateChange, row: tuple[Array, ...], parameters: Array
+    ) -> tuple[StateChange, tuple[Array, Array]]:
         """Return the change of the state, of the tips and of the force of a period."""
         x, r, before, history = state
         index, loads, arm, pose, circles, start, stop = row
@@ -250,7 +250,7 @@ class LinearRun(eqx.Module):
         x, m, e = jnp.split(out, [n, n + S * d])
         r = jnp.concatenate([m.reshape(1, S, d, directions), r[:-1]])
         force = jnp.mean(f.reshape(S, -1, directions)[:, :3], axis=0)
-        return Moving(x, r, p, history), (e.reshape(S, 3, directions), force)
+        return StateChange(x, r, p, history), (e.reshape(S, 3, directions), force)
 
     def pull(
         self, weights: RunChange
@@ -310,7 +310,7 @@ class LinearRun(eqx.Module):
         return numbers * size + pointers * jnp.dtype(jnp.int32).itemsize
 
 
-class _Around(NamedTuple):
+class _PeriodJacobians(NamedTuple):
     """What a period leaves for its linear system.
 
     Attributes:
@@ -382,17 +382,17 @@ def linearise(
             found = look_with_slopes(process, near, row.period, predicted)
         force = period_force(process, near, found, middles)
         arm = LoadedPeriod(state.machine, row.command, substeps.loads)
-        return ended, _Around(out, arm, force)
+        return ended, _PeriodJacobians(out, arm, force)
 
     def batch(state: RunState, rows: PeriodRow, _: Any):
         ended, around = jax.lax.scan(period, state, rows)
-        of = lambda x: force_slopes(model, x, process.engagement.judges_period)
-        # `when_live` asks for its shapes first: under `jit` it is traced once.
+        of = lambda x: force_slopes(model, x, process.engagement.samples_whole_period)
+        # `if_valid` asks for its shapes first: under `jit` it is traced once.
         batch_of = jax.jit(jax.vmap(of))
         # Where nothing acts on the tool, moving it changes no force: in the air, which
         # is much of most programs.
         is_loaded = jnp.any(around.arm.loads != 0)
-        found = when_live(is_loaded, lambda: batch_of(around.force))
+        found = if_valid(is_loaded, lambda: batch_of(around.force))
         slopes = eqx.tree_at(lambda x: x.circles, found, around.force.circles)
         return ended, around._replace(force=slopes)
 
@@ -449,7 +449,7 @@ def prediction(
     They are those of the period before, and the way that the tool has moved since or,
     after the first look-up of a period, the way that it is off, extrapolated.
     """
-    S, count = engagement.substeps, engagement.substeps // engagement.looks
+    S, count = engagement.substeps, engagement.substeps // engagement.updates_per_period
     rows, later = np.zeros((S, S)), np.arange(1.0, count + 1)
     for first in range(count, S, count):
         rows[first : first + count, first - 1] = 1 + later
@@ -474,7 +474,7 @@ def _solved(
     n, m = arm.end.shape[0], 2 * joints
     dtype = force.now.dtype
     ahead = jnp.asarray(prediction(engagement), dtype)
-    is_first = (jnp.arange(S) < S // engagement.looks).astype(dtype)
+    is_first = (jnp.arange(S) < S // engagement.updates_per_period).astype(dtype)
     P = arm.pose[:, :n]
     tip = jnp.eye(d, 3, dtype=dtype)
     free = S * l
@@ -486,7 +486,7 @@ def _solved(
         looked = looked.at[..., :n].add(is_first[:, None, None] * P[None, :3])
         looked = jnp.concatenate([looked, arm.middles[:, 3:]], axis=1)
     seen = np.eye(S)
-    if engagement.judges_period:
+    if engagement.samples_whole_period:
         seen = np.tile(seen[-1], (S, 1))
         looked = jnp.broadcast_to(looked[-1:], looked.shape)
     by_arm = jnp.einsum("slp,spi->sli", force.now, arm.middles)
@@ -513,7 +513,7 @@ def _solved(
         last = -is_first[:, None, None] * jnp.einsum("sla,pa->slp", by_tip, tip)
     rest = [
         before.reshape(free, T * S * d),
-        force.thinned.reshape(free, -1),
+        force.decimated.reshape(free, -1),
         last.reshape(free, d),
     ]
     by_arm = by_arm.reshape(free, inputs)

@@ -22,7 +22,7 @@ from jax.flatten_util import ravel_pytree
 from jax.typing import DTypeLike
 from jaxtyping import Array, Float, Int, PyTree
 
-from ...numerics import Recomputed, hold
+from ...numerics import Rematerialised, materialise
 from ...process import (
     EdgeSamples,
     Engagement,
@@ -89,7 +89,7 @@ class ForceSlopes(eqx.Module):
         newest: In that of the same sub-step of the period before, by what was found in
             the stock, shape (substep, load, pose); None for even teeth, of which it is
             the first of those before.
-        thinned: In the thinned older poses, shape (substep, load, circle, pose).
+        decimated: In the thinned older poses, shape (substep, load, circle, pose).
         predicted: In the pose at which the stock was looked up, shape (substep, load,
             pose); in the last one where a look judges the whole period.
         start: In the pose at the start of the period, likewise; None if samples do not
@@ -102,7 +102,7 @@ class ForceSlopes(eqx.Module):
     now: Float[Array, "substep load pose"]
     before: Float[Array, "substep load *before pose"]
     newest: Float[Array, "substep load pose"] | None
-    thinned: Float[Array, "substep load circle pose"]
+    decimated: Float[Array, "substep load circle pose"]
     predicted: Float[Array, "substep load pose"]
     start: Float[Array, "substep load pose"] | None
     parameters: Float[Array, "substep load parameter"]
@@ -152,21 +152,21 @@ class PeriodForce(eqx.Module):
     Attributes:
         samples: The numbers of its edges that follow the poses.
         known: The rest of its edges.
-        push: The samples' change with the poses that are looked up, with those of the
-            period before, and with the tip at the start.
+        sample_jvp: The samples' change with the poses that are looked up, with those of
+            the period before, and with the tip at the start.
         middles: Poses in the middle of the sub-steps, shape (substep, pose).
         earlier: Those when the teeth before passed, shape (substep, before, pose), of
             uneven teeth (substep, before, tooth, pose).
-        thinned: The thinned older poses, shape (circle, pose).
+        decimated: The thinned older poses, shape (circle, pose).
         circles: Their rows, shape (circle,).
     """
 
     samples: EdgeSamples
     known: EdgeSamples
-    push: Callable[[Array, Array, Array], EdgeSamples]
+    sample_jvp: Callable[[Array, Array, Array], EdgeSamples]
     middles: Float[Array, "substep pose"]
     earlier: Float[Array, "substep *before pose"]
-    thinned: Float[Array, "circle pose"]
+    decimated: Float[Array, "circle pose"]
     circles: Int[Array, " circle"]
 
 
@@ -192,12 +192,12 @@ def look_with_slopes(
         near = eqx.tree_at(lambda s: (s.recent, s.last_tip), state, (recent, start))
         cut = engagement.engage(process, near, index, as_poses(ahead))
         samples, known = eqx.partition(cut.samples, cut.samples.follows_poses)
-        return samples, (known, cut.thinned)
+        return samples, (known, cut.decimated)
 
-    engage = Recomputed.of(engage)
+    engage = Rematerialised.of(engage)
     at = as_rows(predicted), as_rows(state.recent)[0], state.last_tip
-    samples, push, (known, thinned) = jax.linearize(engage, *at, has_aux=True)
-    return Engagement(eqx.combine(samples, known), thinned, push)
+    samples, sample_jvp, (known, decimated) = jax.linearize(engage, *at, has_aux=True)
+    return Engagement(eqx.combine(samples, known), decimated, sample_jvp)
 
 
 def period_force(
@@ -211,25 +211,25 @@ def period_force(
         found: The engagement, of `look_with_slopes`.
         middles: Poses in the middle of the sub-steps, shape (substep, 3).
     """
-    assert found.push is not None
+    assert found.sample_jvp is not None
     samples, known = eqx.partition(found.samples, found.samples.follows_poses)
-    circles = process.removal.thinned_rows(state)
-    thinned = as_rows(state.track.poses.taken(circles * process.engagement.substeps))
+    circles = process.removal.decimated_rows(state)
+    decimated = as_rows(state.track.poses.taken(circles * process.engagement.substeps))
     earlier = as_rows(process.earlier(state.recent, middles))
     return PeriodForce(
-        samples, known, found.push, as_rows(middles), earlier, thinned, circles
+        samples, known, found.sample_jvp, as_rows(middles), earlier, decimated, circles
     )
 
 
 def force_slopes(
-    model: CompliantModel, around: PeriodForce, judges_period: bool
+    model: CompliantModel, around: PeriodForce, samples_whole_period: bool
 ) -> ForceSlopes:
     """Return the slopes of a period's loads.
 
     Args:
         model: Machine and process; its stock does not count.
         around: What they follow from.
-        judges_period: As of the engagement.
+        samples_whole_period: As of the engagement.
     """
     at = model.nominal(around.middles.dtype)
     # A sample of an edge follows the pose of its own sub-step: one motion of all.
@@ -238,14 +238,14 @@ def force_slopes(
     moves = jnp.broadcast_to(unit[:, None], (shape[-1], *shape))
     still = jnp.zeros_like(moves)
     groups = [(moves, still), (still, moves)]
-    if judges_period:
+    if samples_whole_period:
         groups.append((still, still))
     ahead, newest = (jnp.concatenate(rows) for rows in zip(*groups, strict=True))
     start = jnp.zeros((len(ahead), 3), unit.dtype)
-    if judges_period:
+    if samples_whole_period:
         start = start.at[-3:].set(jnp.eye(3, dtype=unit.dtype))
     # All together, so that they are compiled once.
-    by_either = jax.vmap(around.push)(ahead, newest, start)
+    by_either = jax.vmap(around.sample_jvp)(ahead, newest, start)
 
     def load(
         known: EdgeSamples,
@@ -263,12 +263,17 @@ def force_slopes(
     def load_slopes(known: EdgeSamples, *inputs: Any) -> tuple[Any, ...]:
         found, pull = jax.vjp(functools.partial(load, known), *inputs)
         # What all loads are pulled back through is not computed again for each.
-        return jax.vmap(hold(pull))(jnp.eye(len(found), dtype=found.dtype))
+        return jax.vmap(materialise(pull))(jnp.eye(len(found), dtype=found.dtype))
 
     found = jax.vmap(load_slopes, (0, 0, 0, None, 0, None))(
-        around.known, around.middles, around.earlier, around.thinned, around.samples, at
+        around.known,
+        around.middles,
+        around.earlier,
+        around.decimated,
+        around.samples,
+        at,
     )
-    now, before, thinned, by_edges, by_parameters = found
+    now, before, decimated, by_edges, by_parameters = found
 
     both = zip(jax.tree.leaves(by_edges), jax.tree.leaves(by_either), strict=True)
     products = [jnp.einsum("sl...,ps...->slp", a, b) for a, b in both]
@@ -279,7 +284,7 @@ def force_slopes(
         now=now,
         before=before.at[:, :, 0].add(by_newest) if is_even else before,
         newest=None if is_even else by_newest,
-        thinned=thinned,
+        decimated=decimated,
         predicted=by_predicted,
         start=by_start[0] if by_start else None,
         parameters=by_parameters,

@@ -41,7 +41,7 @@ _TOLERANCE, _ROUNDINGS = 1e-9, 32
 _MOST_STEPS, _PLAIN_STEPS = 50, 2
 
 
-class Balance(eqx.Module):
+class StaticEquilibrium(eqx.Module):
     """The arm at one instant: joints, pose in `work`, and load on the tool."""
 
     q: Float[Array, " joint"]
@@ -49,7 +49,7 @@ class Balance(eqx.Module):
     load: Float[Array, " load"]
 
 
-class Bend(eqx.Module):
+class StaticDeflection(eqx.Module):
     """The arm in one period, whose end follows the mean load.
 
     Attributes:
@@ -78,15 +78,15 @@ class Bend(eqx.Module):
         """Return what the gears carry under a load [N m or N]."""
         return self.gravity - self.jacobian.T @ load
 
-    def balance(self, load: Float[Array, " load"]) -> Balance:
+    def balance(self, load: Float[Array, " load"]) -> StaticEquilibrium:
         """Return the arm at the end under a load."""
         return self.balance_at(self.joints(load), load)
 
     def balance_at(
         self, q: Float[Array, " joint"], load: Float[Array, " load"]
-    ) -> Balance:
+    ) -> StaticEquilibrium:
         """Return the arm at the end with given joints."""
-        return Balance(q, Pose(self.tip(q), self.pose.axis), load)
+        return StaticEquilibrium(q, Pose(self.tip(q), self.pose.axis), load)
 
     def poses(
         self, load: Float[Array, " load"], places: Float[Array, " place"]
@@ -95,7 +95,7 @@ class Bend(eqx.Module):
         shares, end = places[:, None], self.balance(load).pose.tip
         return self._between(shares, end)
 
-    def reached(self, end: Balance, places: Float[Array, " place"]) -> Pose:
+    def reached(self, end: StaticEquilibrium, places: Float[Array, " place"]) -> Pose:
         """Return the poses on the way to a balance, at some places of it."""
         if self.robot.backlash is None:
             return self.poses(end.load, places)
@@ -129,7 +129,7 @@ class Bend(eqx.Module):
 _LoadOfTip = Callable[[Float[Array, " 3"]], Float[Array, " load"]]
 
 
-def balance_with_gaps(bend: Bend, load_of: _LoadOfTip) -> Balance:
+def balance_with_gaps(bend: StaticDeflection, load_of: _LoadOfTip) -> StaticEquilibrium:
     """Return the arm at the end of a period, whose gears have gaps.
 
     Args:
@@ -191,7 +191,10 @@ class _Excess(NamedTuple):
 
     @classmethod
     def of(
-        cls, bend: Bend, q: Float[Array, " joint"], load: Float[Array, " load"]
+        cls,
+        bend: StaticDeflection,
+        q: Float[Array, " joint"],
+        load: Float[Array, " load"],
     ) -> "_Excess":
         """Return the excess for joints and a load."""
         robot, tau = bend.robot, bend.torque(load)
@@ -201,7 +204,10 @@ class _Excess(NamedTuple):
         return cls(y - tau / robot.joint_stiffness, slope)
 
     def step(
-        self, bend: Bend, cut: Float[Array, "load 3"], is_plain: Bool[Array, ""]
+        self,
+        bend: StaticDeflection,
+        cut: Float[Array, "load 3"],
+        is_plain: Bool[Array, ""],
     ) -> Float[Array, " joint"]:
         """Return the step of the joints towards a balance [rad or m].
 

@@ -15,8 +15,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..._arrays import first_rows, is_traced, on_device
 from ..._job import Job
-from ..._live_rows import live_rows, map_rows, pad_rows, padded_count
-from ...numerics import CompiledOnce
+from ..._padding import live_rows, map_rows, pad_rows, padded_count
+from ...numerics import CachedJit
 from ...robot import (
     JointSolution,
     Robot,
@@ -117,9 +117,9 @@ class JobKinematics(eqx.Module):
         **Differentiability**: that of `inverse_kinematics_path`.
         """
         q, is_reached = self.joints(commanded)
-        return JointRows(self.motors_of(q), is_reached)
+        return JointRows(self.motor_positions_from_joints(q), is_reached)
 
-    def motors_of(
+    def motor_positions_from_joints(
         self, joints: Float[Array, "step joint"]
     ) -> Float[Array, "step joint"]:
         """Return the motor positions for commanded joints, sag added if compensated.
@@ -133,7 +133,7 @@ class JobKinematics(eqx.Module):
         **Differentiability**: that of `motor_positions`.
         """
         if self.job.modes is not None:
-            return self.tool_rows(joints)
+            return self.tool_command(joints)
         count, rows = joints.shape[0], joints.shape[0]
         if not is_traced((self.job, joints)):
             rows = padded_count(count)
@@ -142,7 +142,9 @@ class JobKinematics(eqx.Module):
         motors = _motors(self.robot, joints, is_compensated)
         return first_rows(motors, count)
 
-    def tool_rows(self, commanded: Float[Array, "step 3"]) -> Float[Array, "step axis"]:
+    def tool_command(
+        self, commanded: Float[Array, "step 3"]
+    ) -> Float[Array, "step axis"]:
         """Return the command of a machine of modes: tips, and axes of a tilted tool."""
         axes = self.job.tool_axes
         if axes is None:
@@ -229,7 +231,7 @@ class _Slopes(eqx.Module):
         self.is_compensated = job.simulation.is_gravity_compensated
 
 
-@CompiledOnce
+@CachedJit
 def _slopes(
     known: _Slopes,
     joints: Float[Array, "step joint"],

@@ -17,11 +17,11 @@ from ...workpiece import Pose
 from ._integrator.base import AbstractIntegrator, ArmState, MotorCommand
 from ._integrator.midpoint import Midpoint
 from .midpoint_terms import HeldSpan, middle_terms
-from .span import AbstractSpan
-from .substeps import AbstractSwinging, CommandRow, start_rate
+from .span import AbstractPeriodDynamics
+from .substeps import AbstractInertialMachine, CommandRow, start_rate
 
 
-class ArmSpan(AbstractSpan):
+class ArmPeriod(AbstractPeriodDynamics):
     """The robot in one period, in `work`, ready for its sub-steps.
 
     Attributes:
@@ -68,7 +68,7 @@ class ArmSpan(AbstractSpan):
         return self.pose.tip + self.jacobian[:3] @ (state.q - self.joints)
 
 
-class ElasticArm(AbstractSwinging):
+class ElasticArm(AbstractInertialMachine):
     """A robot with elastic joints; its command are its motors' positions.
 
     The run starts in equilibrium with gravity, moving with the motors.
@@ -103,7 +103,7 @@ class ElasticArm(AbstractSwinging):
         """Numbers of a load: on a bending tool the height counts at which it acts."""
         return 6 if self.robot.fast_joints else 3
 
-    def span(self, process: Process, state: ArmState, row: CommandRow) -> ArmSpan:
+    def span(self, process: Process, state: ArmState, row: CommandRow) -> ArmPeriod:
         """Return the robot in a period, from its state and the motors."""
         robot, rule = self.robot, self.integrator
         rate = (row.stop - row.start) / process.tooth_period
@@ -113,7 +113,7 @@ class ElasticArm(AbstractSwinging):
         pose = in_work(T_base_work, terms.T_base_tool, is_upright)
         motors = MotorCommand(row.start, rate)
         terms = middle_terms(robot, rule, terms, state, motors, held)
-        return ArmSpan(
+        return ArmPeriod(
             robot=robot,
             integrator=rule,
             pose=pose,

@@ -39,7 +39,7 @@ def kept_chips(
     """
     chip = jax.vmap(
         lambda samples, pose, earlier: process.engagement.chip(
-            process, samples, pose, earlier, cut.thinned
+            process, samples, pose, earlier, cut.decimated
         )
     )(cut.samples, middles, process.earlier(recent, middles))
     samples = cut.samples

@@ -20,13 +20,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
-from ..._live_rows import last_row, live_rows, scan_rows
+from ..._padding import last_row, live_rows, scan_rows
 from ..._result import RESULTS
 from ..._types import IntScalar
 from ...process import (
     Process,
     ProcessState,
-    Removed,
+    RemovedVolume,
 )
 from ...workpiece import Pose, PoseTrack, Stock
 from .kept_chips import KeptChips
@@ -78,7 +78,7 @@ class Period(eqx.Module):
     ends: Float[Array, "substep 3"]
     force: Float[Array, " 3"]
     joint_positions: Float[Array, " joint"] | None
-    removed: Removed
+    removed: RemovedVolume
     has_failed: Bool[Array, ""]
     samples: Float[Array, "sample 3"] | None = None
 
@@ -345,7 +345,7 @@ class Ending(eqx.Module):
     state: ProcessState
     final: Pose
     last: Int[Array, ""]
-    removed: Removed
+    removed: RemovedVolume
     has_failed: Bool[Array, " period"]
     is_finite: Bool[Array, ""]
 
@@ -510,7 +510,7 @@ def with_first(rows: Float[Array, "period ..."]) -> Float[Array, "step ..."]:
     return jnp.concatenate([jnp.zeros_like(rows[:1]), rows])
 
 
-def _without_overlap(removed: Removed) -> tuple[Float[Array, ""], Removed]:
+def _without_overlap(removed: RemovedVolume) -> tuple[Float[Array, ""], RemovedVolume]:
     """Return what the tool stood in at first [m^3], and what was removed but for it.
 
     The first period removes nothing else.
@@ -525,7 +525,7 @@ def _without_overlap(removed: Removed) -> tuple[Float[Array, ""], Removed]:
 
 
 def _volumes_by_pose(
-    step_count: int, removed: Removed, rest: Removed
+    step_count: int, removed: RemovedVolume, rest: RemovedVolume
 ) -> tuple[Float[Array, " step"], Float[Array, " step"]]:
     """Return what each pose took, and its shank, from steps that removed others."""
     both = []
@@ -550,12 +550,14 @@ def _failed_rows(
         last: The last step, to which that belongs.
     """
     rows = jnp.concatenate([jnp.zeros(1, bool), failed])
-    return rows.at[last].set(rows[last] | end.has_overflow | end.is_beyond)
+    return rows.at[last].set(rows[last] | end.has_overflow | end.has_left_window)
 
 
 def _outcome(state: ProcessState, is_finite: Bool[Array, ""]) -> RESULTS:
     """Return the outcome of a run from the flags in its last state."""
-    result = RESULTS.where(state.is_beyond, RESULTS.window_overflow, RESULTS.successful)
+    result = RESULTS.where(
+        state.has_left_window, RESULTS.window_overflow, RESULTS.successful
+    )
     result = RESULTS.where(state.has_overflow, RESULTS.interval_overflow, result)
     return RESULTS.where(is_finite, result, RESULTS.non_finite)
 

@@ -19,8 +19,8 @@ from jaxtyping import Array, Float
 from ...process import Process
 from ...robot import TipModes
 from ...workpiece import Pose
-from .span import AbstractSpan
-from .substeps import AbstractSwinging, CommandRow, start_rate
+from .span import AbstractPeriodDynamics
+from .substeps import AbstractInertialMachine, CommandRow, start_rate
 
 
 class ModalState(eqx.Module):
@@ -42,7 +42,7 @@ class ModalState(eqx.Module):
     load: Float[Array, " 3"]
 
 
-class ModalSpan(AbstractSpan):
+class ModalSpan(AbstractPeriodDynamics):
     """The machine in one period, ready for its sub-steps.
 
     Attributes:
@@ -101,7 +101,7 @@ class ModalSpan(AbstractSpan):
         )
 
 
-class ModalMachine(AbstractSwinging):
+class ModalMachine(AbstractInertialMachine):
     """A machine given by modes at its tool tip; its command is the tool's path.
 
     A command has the tip positions [m], shape (step, 3), or where the tool does not

@@ -27,12 +27,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from ..._live_rows import when_live
+from ..._padding import if_valid
 from ..._types import Transform
 from ...process import Engagement, Process
 from ...robot import ArmTerms, Robot, loaded_equilibrium
 from ...workpiece import Pose
-from .bend import Balance, Bend, balance_with_gaps
+from .bend import StaticDeflection, StaticEquilibrium, balance_with_gaps
 from .elastic import in_work, jacobian_in_work
 from .machine import Period, RunState
 from .rigid import period_wrench
@@ -59,18 +59,22 @@ class QuasiStaticArm(AbstractCompliant):
     robot: Robot
     T_base_work: Transform
 
-    def begin(self, process: Process, command: Float[Array, "step joint"]) -> Balance:
+    def begin(
+        self, process: Process, command: Float[Array, "step joint"]
+    ) -> StaticEquilibrium:
         """Return the balance with gravity at the first instant."""
         q = loaded_equilibrium(self.robot, command[0])
         near = self._linear(process, q)
-        return Balance(q, near.pose, jnp.zeros(near.jacobian.shape[0], command.dtype))
+        return StaticEquilibrium(
+            q, near.pose, jnp.zeros(near.jacobian.shape[0], command.dtype)
+        )
 
-    def pose(self, process: Process, state: Balance) -> Pose:
+    def pose(self, process: Process, state: StaticEquilibrium) -> Pose:
         """Return the tool's pose in `work`."""
         del process
         return state.pose
 
-    def joint_positions(self, state: Balance) -> Float[Array, " joint"]:
+    def joint_positions(self, state: StaticEquilibrium) -> Float[Array, " joint"]:
         """Return the joint positions [rad or m]."""
         return state.q
 
@@ -119,14 +123,14 @@ class QuasiStaticArm(AbstractCompliant):
                 lambda slope, F: jnp.linalg.solve(jax.vmap(slope)(eye).T, F),
             )
 
-        def balance() -> Balance:
+        def balance() -> StaticEquilibrium:
             if self.robot.backlash is None:
                 return bend.balance(root())
             return balance_with_gaps(
                 bend, lambda tip: mean_load(bend.poses_to(tip, middles))
             )
 
-        end = when_live(is_live, balance, start)
+        end = if_valid(is_live, balance, start)
         tips, ends = bend.reached(end, middles), bend.reached(end, last)
         cutting = cutting.ended(tips, ends)
         period = Period(
@@ -135,7 +139,7 @@ class QuasiStaticArm(AbstractCompliant):
             force=end.load[:3],
             joint_positions=start.q,
             removed=removed,
-            has_failed=cutting.has_overflow | cutting.is_beyond,
+            has_failed=cutting.has_overflow | cutting.has_left_window,
         )
         loads = jnp.broadcast_to(end.load[None], (middles.size, size))
         steps = LoadedSubsteps(predicted.tip, tips.tip, ends.tip, loads, cut)
@@ -144,7 +148,7 @@ class QuasiStaticArm(AbstractCompliant):
     def motion(
         self,
         process: Process,
-        state: Balance,
+        state: StaticEquilibrium,
         row: CommandRow,
         loads: Float[Array, "substep load"],
     ) -> PeriodMotion:
@@ -159,12 +163,14 @@ class QuasiStaticArm(AbstractCompliant):
             looked=bend.expected(state.load, middles),
         )
 
-    def _bend(self, process: Process, start: Balance, row: CommandRow) -> Bend:
+    def _bend(
+        self, process: Process, start: StaticEquilibrium, row: CommandRow
+    ) -> StaticDeflection:
         """Return how the arm bends in a period, from its start and the motors."""
         # The end is near to the start moved along with the motors: linear from there.
         near = start.q + row.stop - row.start
         found = self._linear(process, near)
-        return Bend(self.robot, start.pose.tip, near, row.stop, *found)
+        return StaticDeflection(self.robot, start.pose.tip, near, row.stop, *found)
 
     def _linear(self, process: Process, q: Float[Array, " joint"]) -> "_Linear":
         terms = ArmTerms.of_state(self.robot, q, jnp.zeros_like(q))

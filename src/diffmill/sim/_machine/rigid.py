@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ..._live_rows import when_live
+from ..._padding import if_valid
 from ..._types import FloatRows3, IntScalar, RealScalarLike
 from ...cutter import AbstractCutter
 from ...cutting import AbstractForceLaw
@@ -118,7 +118,7 @@ class Rigid(AbstractMachine):
         cutting, cut, removed = process.advance(
             state.process, index, row.start, row.middles, is_live
         )
-        samples = when_live(
+        samples = if_valid(
             is_live, lambda: period_wrench(process, cut, row.middles, cutting.recent)
         )[:, :3]
         before, chips = state.machine, state.machine.chips
@@ -127,20 +127,20 @@ class Rigid(AbstractMachine):
             periods_left = self.chip_row - index
             is_kept = (periods_left >= 0) & (periods_left < teeth)
             recent = cutting.recent
-            found = when_live(
+            found = if_valid(
                 is_kept, lambda: kept_chips(process, cut, row.middles, recent)
             )
             place = jnp.where(is_kept, jnp.mod(index, teeth), teeth)
             chips = jax.tree.map(lambda x, new: x.at[place].set(new), chips, found)
         cutting = cutting.ended(row.middles, row.ends)
-        stop = when_live(is_live, lambda: row.stop, before.pose)
+        stop = if_valid(is_live, lambda: row.stop, before.pose)
         return RunState(cutting, RigidState(stop, chips), state.period_count), Period(
             tip=row.start.tip,
             ends=row.ends.tip,
             force=jnp.mean(samples, axis=0),
             joint_positions=None,
             removed=removed,
-            has_failed=cutting.has_overflow | cutting.is_beyond,
+            has_failed=cutting.has_overflow | cutting.has_left_window,
             samples=samples if self.keeps_instantaneous else None,
         )
 
@@ -160,7 +160,7 @@ def period_wrench(
     """
     wrench = jax.vmap(
         lambda samples, pose, earlier: process.engagement.wrench(
-            process, samples, pose, earlier, cut.thinned
+            process, samples, pose, earlier, cut.decimated
         )
     )
     earlier = process.earlier(recent, middles)

@@ -22,7 +22,7 @@ from ...process import EdgeSamples, Process
 from ...workpiece import Pose
 
 
-class AbstractSpan(eqx.Module):
+class AbstractPeriodDynamics(eqx.Module):
     """A machine in one tooth period, in `work`, ready for its sub-steps.
 
     Its states are trees of floating arrays.
@@ -114,13 +114,13 @@ class PushedSpan(eqx.Module):
     Attributes:
         process: The process without its stock.
         span: The machine.
-        thinned: Older poses.
+        decimated: Older poses.
         load_count: 3 for the force alone, 6 with its moment.
     """
 
     process: Process
-    span: AbstractSpan
-    thinned: Pose
+    span: AbstractPeriodDynamics
+    decimated: Pose
     load_count: int = eqx.field(static=True)
 
     def run(self, start: PyTree, rows: SubstepRow) -> tuple[PyTree, MovedSubstep]:
@@ -141,7 +141,7 @@ class PushedSpan(eqx.Module):
         """Return the mean load of a sub-step whose tips are known [N], [N m]."""
         pose = Pose(tip, self.span.pose.axis)
         wrench = self.process.engagement.wrench(
-            self.process, row.samples, pose, earlier, self.thinned
+            self.process, row.samples, pose, earlier, self.decimated
         )
         return jnp.mean(wrench, axis=0)[: self.load_count]
 

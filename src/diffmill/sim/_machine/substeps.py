@@ -1,9 +1,9 @@
 """The sub-steps of a machine that swings: force of the teeth, then the machine moves.
 
 Each sub-step takes the force F of the teeth that pass in it, at the tip where the
-machine will be in the middle of the sub-step, and hands it to the machine. What differs
-from machine to machine is how a tooth period is prepared (`AbstractSwinging.span`) and
-how the machine moves in it (`AbstractSpan` of `span.py`, which takes the sub-steps).
+machine will be in the middle of the sub-step, and hands it to the machine. Machines
+differ in how a tooth period is prepared (`AbstractInertialMachine.span`) and in how the
+machine moves in it (`AbstractPeriodDynamics` of `span.py`, which takes the sub-steps).
 """
 
 import abc
@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
-from ..._live_rows import when_live
+from ..._padding import if_valid
 from ..._types import IntScalar
 from ...process import (
     Engagement,
@@ -25,7 +25,7 @@ from ...process import (
 )
 from ...workpiece import Pose
 from .machine import AbstractMachine, Period, RunState
-from .span import AbstractSpan, PushedSpan, SubstepRow
+from .span import AbstractPeriodDynamics, PushedSpan, SubstepRow
 
 
 class CommandRow(eqx.Module):
@@ -147,7 +147,7 @@ class AbstractCompliant(AbstractMachine):
         """
 
 
-class AbstractSwinging(AbstractCompliant):
+class AbstractInertialMachine(AbstractCompliant):
     """A machine with inertia; it takes sub-steps."""
 
     def follow(
@@ -168,7 +168,7 @@ class AbstractSwinging(AbstractCompliant):
         drift = (span.pose.tip - cutting.last_tip)[None]
         predicted = along(span.pose, cutting.recent.tip[0] + drift)
         times = T * process.substep_middles(row.start.dtype)
-        if engagement.looks > 1:
+        if engagement.updates_per_period > 1:
             cutting, removed = engagement.advance(
                 process, cutting, index - 1, span.pose
             )
@@ -185,7 +185,7 @@ class AbstractSwinging(AbstractCompliant):
         rest = jnp.broadcast_to(span.pose.tip[None], predicted.tip.shape)
         none = jnp.zeros((rest.shape[0], self.load_count), rest.dtype)
         still = LoadedSubsteps(predicted.tip, predicted.tip, rest, none)
-        end, steps = when_live(is_live, move, (start, still))
+        end, steps = if_valid(is_live, move, (start, still))
         cutting = cutting.ended(
             along(span.pose, steps.tips), along(span.pose, steps.ends)
         )
@@ -195,7 +195,7 @@ class AbstractSwinging(AbstractCompliant):
             force=jnp.mean(steps.loads[:, :3], axis=0),
             joint_positions=self.joint_positions(start),
             removed=removed,
-            has_failed=cutting.has_overflow | cutting.is_beyond,
+            has_failed=cutting.has_overflow | cutting.has_left_window,
         )
         steps = dataclasses.replace(steps, found=cut)
         return RunState(cutting, end, state.period_count), period, steps
@@ -221,7 +221,9 @@ class AbstractSwinging(AbstractCompliant):
         return PeriodMotion(end, span.pose, middles, tips.end, None)
 
     @abc.abstractmethod
-    def span(self, process: Process, state: PyTree, row: CommandRow) -> AbstractSpan:
+    def span(
+        self, process: Process, state: PyTree, row: CommandRow
+    ) -> AbstractPeriodDynamics:
         """Return the machine in a period, from its state and the command of that.
 
         Args:
@@ -249,7 +251,7 @@ class _Coupled(eqx.Module):
     """A machine in a period, and the process that pushes it."""
 
     process: Process
-    span: AbstractSpan
+    span: AbstractPeriodDynamics
     load_count: int = eqx.field(static=True)
 
 
@@ -349,8 +351,8 @@ def _run_looks(
     """
     process, pose = coupled.process, coupled.span.pose
     engagement, cutting = process.engagement, begun.process
-    looks = engagement.looks
-    count = engagement.substeps // looks
+    updates_per_period = engagement.updates_per_period
+    count = engagement.substeps // updates_per_period
 
     passed = _TeethPassed.of(coupled, cutting.recent)
 
@@ -373,11 +375,11 @@ def _run_looks(
         ahead = off[-1:] + later * (off[-1:] - off[-2:-1])
         return _BeforeLook(end, ahead, ways), rows
 
-    split = lambda x: x.reshape(looks, count, *x.shape[1:])
+    split = lambda x: x.reshape(updates_per_period, count, *x.shape[1:])
     recent = jax.tree.map(
         lambda x: jnp.swapaxes(jax.vmap(split)(x), 0, 1), cutting.recent
     )
-    first = count * jnp.arange(looks, dtype=jnp.int32)
+    first = count * jnp.arange(updates_per_period, dtype=jnp.int32)
     ahead = jnp.broadcast_to(drift, (count, 3))
     looked = _LookRow(first, split(times), recent)
     ways = jnp.zeros_like(cutting.recent.tip[0])
@@ -397,7 +399,7 @@ def _run_substeps(
     span = coupled.span
     rows = SubstepRow(times, before.earlier, look.found.samples, before.within)
     pushed = PushedSpan(
-        _tool_of(coupled.process), span, look.found.thinned, coupled.load_count
+        _tool_of(coupled.process), span, look.found.decimated, coupled.load_count
     )
     end, moved = pushed.run(start, rows)
     ends = jax.vmap(span.tip)(moved.end)

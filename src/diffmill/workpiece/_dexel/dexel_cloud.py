@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from ...cutter import AbstractCutter
-from ...numerics import Recomputed
+from ...numerics import Rematerialised
 from .._pose import Pose
 from .interval import SHORTEST
 from .removal import RemovalWindow, window_grid
@@ -73,7 +73,7 @@ class TakenPieces(eqx.Module):
                 lambda ends: jnp.zeros(size, ends.dtype),
                 ends,
             )
-            ends = Recomputed.read(ends)
+            ends = Rematerialised.read(ends)
             start, stop, is_hit = cutter.intersect(family, bs, cs, tip)
             low = jnp.maximum(ends[:, :, 0], start[..., None])
             high = jnp.minimum(ends[:, :, 1], stop[..., None])

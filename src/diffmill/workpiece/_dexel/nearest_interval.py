@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from ...numerics import hold
+from ...numerics import materialise
 from .._pose import taken_rows
 
 
@@ -50,7 +50,7 @@ def nearest_interval(
     """
     ends, x = jax.lax.stop_gradient((ends, x))
     count = ends.shape[-1]
-    ray = hold(ray)
+    ray = materialise(ray)
 
     def look(m: Int[Array, ""], found: tuple[Array, ...]) -> tuple[Array, ...]:
         best, low, high, slot = found

@@ -33,11 +33,11 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ...cutter import AbstractCutter
 from ...numerics import (
-    Few,
-    Recomputed,
+    Rematerialised,
+    ShortAxis,
     clamp,
     hat_integral,
-    hold,
+    materialise,
     ramp,
     with_derivative_of,
 )
@@ -53,7 +53,7 @@ _FOLLOWED = 0.3
 # Bounds of that width are rounded off over this share of the band.
 _CORNER = 0.2
 # Where walls are sure enough, rounded off over this.
-_SURE = 0.3
+_CONFIDENCE_ROUNDING = 0.3
 # A chip that crosses less of a wall than this, in widths of its band, counts as this.
 _SHORT = 1e-2
 # What a ray without a surface in reach still counts for.
@@ -151,8 +151,8 @@ class Discs(eqx.Module):
         Differentiability: continuous; kinks where a point crosses a grid line.
         """
         # Points in the last axis: arrays are long there, nothing is summed over it.
-        ways = hold((points, moves, chips))
-        place, move, chip = hold([jnp.unstack(x.T) for x in ways])
+        ways = materialise((points, moves, chips))
+        place, move, chip = materialise([jnp.unstack(x.T) for x in ways])
         place, move, chip = _Place(*place), _Across(*move), _Across(*chip)
         columns = _find_columns(stock, place)
         if track is not None:
@@ -162,13 +162,13 @@ class Discs(eqx.Module):
         slots = stock.slots_in_use() if slots is None else slots
         walls = tuple(_find_walls(stock, f, place, heights, slots[f]) for f in (0, 1))
         if track is not None:
-            walls = _tie_walls(cutter, walls, track)
+            walls = _with_wall_derivatives(cutter, walls, track)
         walls = tuple(_read_ends(wall) for wall in walls)
         if growth is None:
             growth = jnp.zeros_like(points[..., 0])
-        rim = _Rim(place, move, chip, hold(growth.T), heights)
+        rim = _Rim(place, move, chip, materialise(growth.T), heights)
         found = _combine(self, stock.spacing, stock.origin, rim, columns, walls)
-        return hold(ChipsInStock(*(share.T for share in hold(found))))
+        return materialise(ChipsInStock(*(share.T for share in materialise(found))))
 
 
 class _Place(NamedTuple):
@@ -245,9 +245,9 @@ def _find_columns(stock: Stock, place: _Place) -> _Columns:
     i = near[0] + jnp.repeat(step, 3)[:, None, None]
     j = near[1] + jnp.tile(step, 3)[:, None, None]
     slot = jnp.arange(2 * slots, dtype=jnp.int32).reshape(2, slots, 1, 1, 1)
-    ray = hold((i * counts[1] + j) * (2 * slots))
-    at = hold(ray[None, None] + slot)
-    poses = Recomputed.read(taken(rays.poses, at))
+    ray = materialise((i * counts[1] + j) * (2 * slots))
+    at = materialise(ray[None, None] + slot)
+    poses = Rematerialised.read(taken(rays.poses, at))
     lines = jnp.stack([i, j])[:, None, None].astype(rays.ends.dtype)
     across = stock.origin[:2].reshape(2, *(1,) * 5) + stock.spacing * lines
     return _Columns(taken(rays.ends, at), poses, at, across)
@@ -276,12 +276,14 @@ def _wall_heights(
     z = _at_discs(place.z, discs.count) + centers[:, None]
     low, high = (
         _at_discs(x.reshape(-1, *x.shape[2:]), discs.count)
-        for x in hold(jnp.unstack(columns.ends), backward_only=True)
+        for x in materialise(jnp.unstack(columns.ends), backward_only=True)
     )
     reaches = (high > low) & (low < z[None] + discs.height)
     top = _largest(jnp.where(reaches, high, -jnp.inf))
     is_fringe = (top < z + stock.spacing) & (top > z - discs.height)
-    return hold(jnp.where(is_fringe, jnp.where(is_fringe, top, 0) - stock.spacing, z))
+    return materialise(
+        jnp.where(is_fringe, jnp.where(is_fringe, top, 0) - stock.spacing, z)
+    )
 
 
 def _find_walls(
@@ -309,14 +311,14 @@ def _find_walls(
     low, high, slot = nearest_interval(rays.ends, ray, x, in_use)
     x = frozen(x)
     is_upper = high - x < x - low
-    at = Recomputed.read(ray + is_upper.astype(jnp.int32) * slots + slot)
+    at = Rematerialised.read(ray + is_upper.astype(jnp.int32) * slots + slot)
     # As they were found: to read them anew is for derivatives.
-    found = hold(jnp.where(is_upper, high, low))
+    found = materialise(jnp.where(is_upper, high, low))
     return _Walls(
         ends=with_derivative_of(found, taken, rays.ends, at),
-        is_upper=Recomputed.read(is_upper),
-        is_empty=Recomputed.read(high < low),
-        pose=Recomputed.read(taken(rays.poses, at)),
+        is_upper=Rematerialised.read(is_upper),
+        is_empty=Rematerialised.read(high < low),
+        pose=Rematerialised.read(taken(rays.poses, at)),
         at=at,
         across=stock.origin[side] + stock.spacing * line.astype(heights.dtype),
     )
@@ -324,7 +326,7 @@ def _find_walls(
 
 def _read_ends(rays: _Rays) -> _Rays:
     """Return rays whose ends are marked as read, with the derivative that they have."""
-    return eqx.tree_at(lambda r: r.ends, rays, Recomputed.read(rays.ends))
+    return eqx.tree_at(lambda r: r.ends, rays, Rematerialised.read(rays.ends))
 
 
 def _tie_columns(
@@ -347,7 +349,7 @@ def _made_columns(
     return jnp.where(columns.poses >= 0, height, raw)
 
 
-def _tie_walls(
+def _with_wall_derivatives(
     cutter: AbstractCutter, walls: tuple[_Walls, ...], track: PoseTrack
 ) -> tuple[_Walls, ...]:
     """Return both families, their ends with the derivatives of their poses."""
@@ -365,12 +367,14 @@ def _made_walls(
     """Return ends of both families that move with their poses, but for a constant."""
     frozen = jax.lax.stop_gradient
     # One gather for both: its transpose then adds into the table only once.
-    both = Recomputed.read(_tips_of_walls(jnp.stack([w.pose for w in walls]), track))
-    tips, made = hold(jnp.unstack(both), backward_only=True), []
+    both = Rematerialised.read(
+        _tips_of_walls(jnp.stack([w.pose for w in walls]), track)
+    )
+    tips, made = materialise(jnp.unstack(both), backward_only=True), []
     for f in (0, 1):
         wall, tip = walls[f], tips[f]
         slopes = cutter.wall_slopes(f, wall.ends, wall.across, frozen(tip))
-        by_aside, by_radius = frozen(Recomputed.read(slopes))
+        by_aside, by_radius = frozen(Rematerialised.read(slopes))
         # One product: the derivative of a coordinate is an array of zeros around it.
         axis = jnp.arange(3, dtype=jnp.int32).reshape((1,) * by_aside.ndim + (3,))
         by_tip = jnp.where(
@@ -410,29 +414,29 @@ def _combine(
     columns: _Columns,
     walls: tuple[_Walls, ...],
 ) -> ChipsInStock:
-    wall = hold(_wall_occupancy(spacing, discs.band, origin, rim, walls))
-    certainty = wall.certainty
+    wall = materialise(_wall_occupancy(spacing, discs.band, origin, rim, walls))
+    wall_confidence = wall.wall_confidence
     low, high = columns.ends
-    z = Few.copies(Few.copies(rim.place.z, 9), 2 * len(low))
+    z = ShortAxis.copies(ShortAxis.copies(rim.place.z, 9), 2 * len(low))
     below = discs.filled_below(columns.ends - z.reshape(2, len(low), *z.shape[1:]))
     signs = jnp.array([-1.0, 1.0], below.dtype).reshape(2, 1, 1, 1, 1)
     lengths = jnp.where((high > low)[None], signs * below, 0)
-    filled = Few.sum(Few.sum(lengths))
+    filled = ShortAxis.sum(ShortAxis.sum(lengths))
     weights = _column_weights(rim.place, origin, spacing)
     weights = _at_discs(weights, discs.count)
     # Beside a wall the columns in the air must not thin the disc: walls do that.
     # Before a higher wall the disc stands on what its lower columns hold.
     fullest = _largest(filled)
-    filled, fullest, weights = hold((filled, fullest, weights))
+    filled, fullest, weights = materialise((filled, fullest, weights))
     weighted = weights * filled
-    gap = Few.copies(fullest, filled.shape[0]) - filled
-    mean = Few.sum(weighted)
-    solid = Few.sum(weighted * filled) / (mean + _BLIND)
-    ledge = Few.sum(weighted * gap) / (Few.sum(weights * gap) + _BLIND)
-    ground = certainty * ledge
-    rise = certainty * (solid - ledge) + (1 - certainty) * mean
-    ground, rise = hold((ground, rise))
-    touching = hold(ground + rise * wall.touched)
+    gap = ShortAxis.copies(fullest, filled.shape[0]) - filled
+    mean = ShortAxis.sum(weighted)
+    solid = ShortAxis.sum(weighted * filled) / (mean + _BLIND)
+    ledge = ShortAxis.sum(weighted * gap) / (ShortAxis.sum(weights * gap) + _BLIND)
+    ground = wall_confidence * ledge
+    rise = wall_confidence * (solid - ledge) + (1 - wall_confidence) * mean
+    ground, rise = materialise((ground, rise))
+    touching = materialise(ground + rise * wall.touched)
     return ChipsInStock(touching, (ground + rise * wall.filled) / (touching + _BLIND))
 
 
@@ -442,7 +446,7 @@ def _at_discs(
     """Return values of all discs, which may share them."""
     if values.shape[-2] == count:
         return values
-    return jnp.moveaxis(Few.copies(jnp.squeeze(values, -2), count), 0, -2)
+    return jnp.moveaxis(ShortAxis.copies(jnp.squeeze(values, -2), count), 0, -2)
 
 
 @jax.custom_jvp
@@ -463,7 +467,7 @@ def _largest_jvp(primals: Any, tangents: Any) -> tuple[Array, Array]:
         largest = jnp.maximum(value, largest)
     each = jnp.arange(values.shape[0], dtype=jnp.int32)
     is_first = place[None] == each.reshape(-1, *(1,) * place.ndim)
-    return _largest(values), Few.sum(jnp.where(is_first, changes, 0))
+    return _largest(values), ShortAxis.sum(jnp.where(is_first, changes, 0))
 
 
 _largest.defjvp(_largest_jvp)
@@ -475,12 +479,12 @@ class _BesideWalls(NamedTuple):
     Attributes:
         touched: Where a chip is in the material.
         filled: How much of it is.
-        certainty: How surely walls tell.
+        wall_confidence: How surely walls tell.
     """
 
     touched: Float[Array, "element point"]
     filled: Float[Array, "element point"]
-    certainty: Float[Array, "element point"]
+    wall_confidence: Float[Array, "element point"]
 
 
 def _wall_occupancy(
@@ -496,27 +500,30 @@ def _wall_occupancy(
     q = q - jax.lax.stop_gradient(jnp.floor(q))
     total = jnp.zeros_like(heights)
     says = jnp.full_like(heights, _BLIND)
-    certainty = jnp.zeros_like(heights)
+    wall_confidence = jnp.zeros_like(heights)
     ahead = jnp.zeros_like(heights)
     entering = jnp.zeros_like(heights)
     inward = jnp.zeros_like(heights)
     for f, wall in enumerate(walls):
         # On three lines, below and above.
-        x = Few.copies(_at_discs(place[f], len(heights)), 3 * 2)
+        x = ShortAxis.copies(_at_discs(place[f], len(heights)), 3 * 2)
         x = x.reshape(wall.ends.shape)
         s = jnp.where(wall.is_upper, wall.ends - x, x - wall.ends)
         s = jnp.where(wall.is_empty, -reach, clamp(-reach, s, reach))
-        below, above = hold(jnp.unstack(s, axis=1), backward_only=True)
+        below, above = materialise(jnp.unstack(s, axis=1), backward_only=True)
         lower, upper = (
             share * ((1 - (s / reach) ** 2) ** 2 + _BLIND)
-            for share, s in ((1 - Few.copies(q, 3), below), (Few.copies(q, 3), above))
+            for share, s in (
+                (1 - ShortAxis.copies(q, 3), below),
+                (ShortAxis.copies(q, 3), above),
+            )
         )
-        s = hold((lower * below + upper * above) / (lower + upper))
-        left, middle, right = hold(jnp.unstack(s), backward_only=True)
+        s = materialise((lower * below + upper * above) / (lower + upper))
+        left, middle, right = materialise(jnp.unstack(s), backward_only=True)
         at = (place[1 - f] - origin[1 - f]) / d
         t = jnp.broadcast_to(at - jax.lax.stop_gradient(jnp.round(at)), heights.shape)
         slope = ((0.5 - t) * (middle - left) + (0.5 + t) * (right - middle)) / d
-        s_here = Few.sum(_spline(t) * s)
+        s_here = ShortAxis.sum(_spline(t) * s)
         sees_here = (1 - (s_here / reach) ** 2) ** 2
         steepness = 1 + slope**2
         weight = sees_here / steepness**2
@@ -530,13 +537,13 @@ def _wall_occupancy(
         inward = inward + say * deeper
         total = total + say * s_here
         says = says + weight + _BLIND
-        certainty = certainty + weight
-    inside, ahead, entering, inward = hold(
+        wall_confidence = wall_confidence + weight
+    inside, ahead, entering, inward = materialise(
         [x / says for x in (total, ahead, entering, inward)]
     )
     # A wall that an edge follows rather than crosses is not blurred along its way.
     width = _FOLLOWED * band + ramp(ahead - _FOLLOWED * band, _CORNER * band)
-    width = hold(width - ramp(width - band, _CORNER * band))
+    width = materialise(width - ramp(width - band, _CORNER * band))
     # From the rim to the inner side of the chip.
     length = jnp.sqrt(inward**2 + (_SHORT * width) ** 2)
     # To the nearer side of the chip, without the kink of a greatest one.
@@ -545,8 +552,8 @@ def _wall_occupancy(
     moment = hat_moment((inside + inward / 2) / width) * entering / width
     filled = filled + _at_discs(rim.growth, len(heights)) * moment
     # A wall that both families see at 45 degrees is sure, its corner rounded off below.
-    sure = 2 * (1 + _SURE) * certainty
-    return _BesideWalls(touched, filled, sure - ramp(sure - 1, _SURE))
+    sure = 2 * (1 + _CONFIDENCE_ROUNDING) * wall_confidence
+    return _BesideWalls(touched, filled, sure - ramp(sure - 1, _CONFIDENCE_ROUNDING))
 
 
 def _column_weights(

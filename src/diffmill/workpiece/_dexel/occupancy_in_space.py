@@ -30,7 +30,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from ...cutter import AbstractCutter
-from ...numerics import Recomputed, clamp, with_derivative_of
+from ...numerics import Rematerialised, clamp, with_derivative_of
 from .._pose import Pose
 from .mean_step import hat_moment, mean_step
 from .nearest_interval import nearest_interval, taken
@@ -143,8 +143,8 @@ def occupancy_in_space(
         places = lambda near: [n.places for n in near]
         frozen = eqx.tree_at(places, jax.lax.stop_gradient(near), places(near))
         old = [n.ends for n in frozen]
-        ends = with_derivative_of(old, _made_ends, cutter, frozen, track)
-    ends = Recomputed.read(ends)
+        ends = with_derivative_of(old, _ends_from_poses, cutter, frozen, track)
+    ends = Rematerialised.read(ends)
     growth = jnp.zeros_like(points[:, 0]) if growth is None else growth
     found = _combine(points, _Cells(cells, growth), ends, near, grid)
     return ChipsInStock(found[:, 0], found[:, 1])
@@ -172,10 +172,10 @@ def _find(
     x = frozen[:, family, None]
     low, high, slot = nearest_interval(rays.ends, ray, x, slots)
     is_upper = high - x < x - low
-    at = Recomputed.read(ray + is_upper.astype(jnp.int32) * count + slot)
+    at = Rematerialised.read(ray + is_upper.astype(jnp.int32) * count + slot)
     # As they were found: to read them anew is for derivatives.
     found = jnp.where(is_upper, high, low)
-    ends = Recomputed.read(with_derivative_of(found, taken, rays.ends, at))
+    ends = Rematerialised.read(with_derivative_of(found, taken, rays.ends, at))
     lines = [
         stock.origin[a] + d * index.astype(points.dtype)
         for a, index in zip(axes, (row, column), strict=True)
@@ -185,15 +185,15 @@ def _find(
     placed[axes[0]], placed[axes[1]] = lines
     return _Near(
         ends=ends,
-        is_upper=Recomputed.read(is_upper),
-        is_empty=Recomputed.read(high < low),
-        pose=Recomputed.read(taken(rays.poses, at)),
+        is_upper=Rematerialised.read(is_upper),
+        is_empty=Rematerialised.read(high < low),
+        pose=Rematerialised.read(taken(rays.poses, at)),
         at=at,
         places=jnp.stack(placed, axis=-1),
     )
 
 
-def _made_ends(
+def _ends_from_poses(
     cutter: AbstractCutter, near: tuple[_Near, ...], track: PoseTrack
 ) -> list[Float[Array, "point 4"]]:
     """Return ends that move with the poses that cut them, but for a constant.
@@ -202,7 +202,7 @@ def _made_ends(
     -d(level) / n along its ray, n the normal's part along the ray.
     """
     # One gather for all: its transpose then adds into the table only once.
-    every = Recomputed.read(track.cut_by(jnp.stack([n.pose for n in near], axis=1)))
+    every = Rematerialised.read(track.cut_by(jnp.stack([n.pose for n in near], axis=1)))
     ends = []
     for f, n in enumerate(near):
         cut_by = every[:, f]

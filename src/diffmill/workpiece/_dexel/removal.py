@@ -204,7 +204,7 @@ class RemovalWindow(eqx.Module):
             taken.by_shank * d**2,
             jnp.stack([window.in_use for window in windows]),
             jnp.any(taken.is_full),
-            jnp.any(grid.is_beyond & is_due) & jnp.any(taken.length > 0),
+            jnp.any(grid.has_left_window & is_due) & jnp.any(taken.length > 0),
         )
 
 
@@ -220,13 +220,13 @@ class WindowGrid(NamedTuple):
     Attributes:
         starts: First grid line on each axis.
         lines: Coordinates of its lines on each axis [m].
-        is_beyond: Whether the tool reaches beyond the window, of an upright one for
-            each pose, shape (pose,), of another at the first, shape ().
+        has_left_window: Whether the tool reaches beyond the window, of an upright one
+            for each pose, shape (pose,), of another at the first, shape ().
     """
 
     starts: list[Int[Array, ""]]
     lines: list[Float[Array, " _"]]
-    is_beyond: Bool[Array, "*pose"]
+    has_left_window: Bool[Array, "*pose"]
 
     def of_family(self, family: int) -> "RayPlaces":
         """Return where the rays of a family stand in the window."""
@@ -259,7 +259,7 @@ class CutStock(eqx.Module):
         by_shank: What of it its shank took, above the flutes [m^3], shape (pass,).
         slots: How many slots of each family hold anything, shape (3,).
         has_overflow: Whether a ray ran out of slots, shape ().
-        is_beyond: Whether a tool reached beyond the window, shape ().
+        has_left_window: Whether a tool reached beyond the window, shape ().
     """
 
     stock: Stock
@@ -267,7 +267,7 @@ class CutStock(eqx.Module):
     by_shank: Float[Array, " pass"]
     slots: Int[Array, " 3"]
     has_overflow: Bool[Array, ""]
-    is_beyond: Bool[Array, ""]
+    has_left_window: Bool[Array, ""]
 
 
 def window_grid(
@@ -291,14 +291,14 @@ def window_grid(
         )
         for a in range(3)
     ]
-    return WindowGrid(place.starts, lines, place.is_beyond)
+    return WindowGrid(place.starts, lines, place.has_left_window)
 
 
 class _WindowPlace(NamedTuple):
     """First grid lines of a window, and whether it misses material, as `WindowGrid`."""
 
     starts: list[Int[Array, ""]]
-    is_beyond: Bool[Array, "*pose"]
+    has_left_window: Bool[Array, "*pose"]
 
 
 def _place(
@@ -340,14 +340,14 @@ def _place(
     end = origin + d * jnp.asarray(shape, origin.dtype)
     # Beyond its length the tool must be clear of the grid, or above the material.
     is_inside = jnp.all((far > origin - R) & (far < end + R))
-    is_beyond = is_inside & (far[2] - disc[2] < stock.top)
+    has_left_window = is_inside & (far[2] - disc[2] < stock.top)
     for i in range(3):
         last = origin[i] + d * (starts[i] + sizes[i] - 1).astype(origin.dtype)
         is_short = (starts[i] + sizes[i] < shape[i]) & (last < upper[i])
         if i == 2:
             is_short = is_short & (last < stock.top)
-        is_beyond = is_beyond | is_short
-    return _WindowPlace(starts, is_beyond)
+        has_left_window = has_left_window | is_short
+    return _WindowPlace(starts, has_left_window)
 
 
 class _DuePass(NamedTuple):

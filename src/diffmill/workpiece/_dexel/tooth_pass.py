@@ -22,7 +22,7 @@ from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float, Int
 
 from ...cutter import AbstractCutter
-from ...numerics import Recomputed, clamp, hold
+from ...numerics import Rematerialised, clamp, materialise
 from .._pose import Pose
 from .interval import CutInterval
 from .nearest_interval import taken
@@ -88,7 +88,7 @@ class PoseTrack(eqx.Module):
         """
         if cutter.has_dish:
             # Reverse mode keeps the tips that are read, and no table of all poses.
-            tip = Recomputed.read(self.cut_by(ticks).tip)
+            tip = Rematerialised.read(self.cut_by(ticks).tip)
             return cutter.intersect(2, x, y, tip).start
         return self._between(self.poses.tip[:, 2:], ticks)[..., 0]
 
@@ -265,7 +265,7 @@ class ToothPass(eqx.Module):
     def _first_ticks(self, dtype: DTypeLike) -> Float[Array, ""]:
         """Return the ticks of node 0 in its tooth period."""
         part = (self.first % self.substeps).astype(dtype)
-        return hold(part * (Rays.TICKS / self.substeps))
+        return materialise(part * (Rays.TICKS / self.substeps))
 
 
 def standing(pose: Pose, index: Int[Array, ""]) -> ToothPass:
@@ -307,15 +307,15 @@ def cut_interval(
         when = jnp.broadcast_to(tooth.ticks(tooth.passing), is_hit.shape)
         return CutInterval(start, stop, is_hit, when, when)
     # Found once, not by every ray.
-    center = hold(center)
+    center = materialise(center)
     if center.axis is None and family == 2:
         # Columns are many, and interpolation would cost more than all the rest.
         fine = tooth.refined(_FINE)
-        fine = hold(fine)
+        fine = materialise(fine)
         node = fine.when(cutter, b - center.tip[0], c - center.tip[1], None)
         # Of another type than what it comes from: XLA's CPU compiler would else store
         # it in the same place, and then computes one by one.
-        node = hold(jnp.maximum(jnp.round(node).astype(jnp.int32), 0))
+        node = materialise(jnp.maximum(jnp.round(node).astype(jnp.int32), 0))
         near = fine.nodes.taken(node)
         start, stop, is_hit = _intersect_teeth(cutter, family, b, c, near, tooth)
         when = fine.ticks(node.astype(b.dtype))
@@ -330,7 +330,7 @@ def cut_interval(
         end = jnp.where(is_stop, stop, start)
         x, y, height = _place(family, u, v, end, is_hit, pose)
         node = tooth.when(cutter, x, y, height)
-        pose = hold(tooth.at(node))
+        pose = materialise(tooth.at(node))
         offset = tooth.offset(cutter, height)
         start, stop, is_hit = _intersect(cutter, family, u, v, pose, offset)
     if u.shape[1:] != b.shape or v.shape[1:] != b.shape:

@@ -136,9 +136,9 @@ def _least_squares_in_box(
         )
         found = np.where(free, step, held)
         x[pending] = np.clip(found, lower[pending], upper[pending])
-        is_beyond = (found != x[pending]) & free
-        is_free[pending] &= ~is_beyond
-        pending = pending[is_beyond.any(axis=1)]
+        has_left_window = (found != x[pending]) & free
+        is_free[pending] &= ~has_left_window
+        pending = pending[has_left_window.any(axis=1)]
         if not pending.size:
             break
     return x

@@ -60,7 +60,7 @@ def live_rows(
     return None if row_count is None else indices < row_count
 
 
-def when_live(
+def if_valid(
     is_live: Bool[Array, ""] | None,
     compute: Callable[[], _Tree],
     otherwise: _Tree | None = None,
@@ -169,7 +169,7 @@ def map_rows(
     live = is_live[jnp.minimum(index, count - 1)]
 
     def of_part(part: _Part) -> _Tree:
-        return when_live(part.is_run, lambda: jax.vmap(compute)(*part.rows))
+        return if_valid(part.is_run, lambda: jax.vmap(compute)(*part.rows))
 
     found = jax.lax.map(of_part, _Part(split, live, live[:, 0]))
     return jax.tree.map(lambda x: jax.lax.collapse(x, 0, 2)[:count], found)
