@@ -1008,7 +1008,7 @@ LEFT_OUT = {
         "workpiece.Rays.numbered",
         "workpiece.Rays.places",
         "workpiece.RemovalWindow.remove_passes",
-        "workpiece.TakenPieces.of_pass",
+        "workpiece.RemovedPieces.of_pass",
         "workpiece.ToothPass.*",
     ),
     "a type": ("process.ChipModel", "robot.ToolRotation", "toolpath.Point"),

@@ -130,7 +130,7 @@ def _remove(stock, cutter, window, tips, axis):
             tip[None], None if axis is None else jnp.asarray(axis)[None]
         )
         cut = window.remove_poses(stock, cutter, pose, index[None], jnp.ones(1, bool))
-        stock, full, beyond = cut.stock, cut.has_overflow, cut.is_beyond
+        stock, full, beyond = cut.stock, cut.has_overflow, cut.has_left_window
         return stock, full | beyond
 
     index = jnp.arange(len(tips), dtype=jnp.int32)

@@ -104,7 +104,7 @@ def cut(process, path, part):
     state, found = jax.lax.scan(step, state, (indices, poses[:-1], middles, ends))
     state, rest = process.removal.finish(state, indices[-1], poses[count - 1], count)
     # What is not returned is not computed: a run needs its flags.
-    return found, rest.volume, state.stock, state.has_overflow | state.is_beyond
+    return found, rest.volume, state.stock, state.has_overflow | state.has_left_window
 
 
 def compare(report, ours, plain, limits):

@@ -95,7 +95,7 @@ def slides(tmp_path_factory):
 
 def rows_of(pieces, first, count):
     """Return the rows of a piece, and those ahead of it."""
-    rows = np.arange(first, first + HOP + 1 + pieces.rows_ahead)
+    rows = np.arange(first, first + HOP + 1 + pieces.preview_rows)
     return np.minimum(rows, count - 1)
 
 
@@ -110,9 +110,9 @@ def test_an_overlap_that_the_controller_looks_across_is_refused(tmp_path):
 def test_pieces_of_a_job_do_what_the_whole_does(slides):
     plant, command = slides
     count, pieces = len(command), plant.pieces
-    assert count > 3 * HOP and pieces.rows_ahead > 10
+    assert count > 3 * HOP and pieces.preview_rows > 10
     whole = plant.run(command)
-    state = pieces.begin(jnp.asarray(command[: 3 + pieces.rows_ahead]))
+    state = pieces.begin(jnp.asarray(command[: 3 + pieces.preview_rows]))
     once = eqx.debug.assert_max_traces(max_traces=1)
     run = eqx.filter_jit(once(lambda piece, command: piece.run(command)))
     # What the walls show at the first row of a piece, the one before has shown.
@@ -137,7 +137,7 @@ def test_the_linear_system_of_a_piece_goes_through_the_controller(slides):
     plant, command = slides
     pieces, first = plant.pieces, HOP
     start = rows_of(pieces, 0, len(command))
-    state = pieces.begin(jnp.asarray(command[: 3 + pieces.rows_ahead]))
+    state = pieces.begin(jnp.asarray(command[: 3 + pieces.preview_rows]))
     run = eqx.filter_jit(lambda piece, command: piece.run(command))
     _, state = run(pieces.piece(state, start), jnp.asarray(command[start]))
     rows = rows_of(pieces, first, len(command))
@@ -145,7 +145,7 @@ def test_the_linear_system_of_a_piece_goes_through_the_controller(slides):
     noise = np.random.default_rng(0).normal(size=here.shape)
     change = 1e-6 * np.cumsum(noise, axis=0)
     # The state at the start knows the rows up to those ahead, which stay.
-    change[: pieces.rows_ahead + 1] = 0
+    change[: pieces.preview_rows + 1] = 0
     change = jnp.asarray(change)
     system = piece.linearised(here)
     found = system.move(change[..., None])

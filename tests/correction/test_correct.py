@@ -210,9 +210,9 @@ def test_joints_are_held_within_their_limits(load):
     assert np.max(np.abs(rows)) > 1e-8
     apart = np.abs(change[:, joint][None] - rows[:, None]).min(axis=1)
     assert apart.max() < 2e-3 * np.max(np.abs(rows))
-    beyond = eqx.tree_at(lambda j: j.robot.joint_upper, job, upper - 2e-4)
+    deadband = eqx.tree_at(lambda j: j.robot.joint_upper, job, upper - 2e-4)
     with pytest.raises(InfeasibleLimit, match="`joint limits`"):
-        JointLimits(beyond).rows(spline, nominal, bound)
+        JointLimits(deadband).rows(spline, nominal, bound)
 
 
 @pytest.mark.slow

@@ -94,7 +94,7 @@ class LedPieces(AbstractPieces):
     led: LedMass
 
     @property
-    def rows_ahead(self):
+    def preview_rows(self):
         """Return those that the controller knows."""
         return self.led.controller.span(TIME_STEP).ahead
 
@@ -239,7 +239,7 @@ def test_the_command_is_a_spline_of_the_whole_program(problem, segmented):
 @pytest.mark.parametrize("first", [0, 8, 37, 411])
 def test_a_window_is_the_spline_in_its_rows(first, ahead):
     spline, count = SplineOffsets(531, TIME_STEP, KNOTS), 120
-    window = spline.window(first, count, rows_ahead=ahead)
+    window = spline.window(first, count, preview_rows=ahead)
     c = np.random.default_rng(0).normal(size=(spline.coefficient_count, 2))
     full = np.pad(c, ((3, 13), (0, 0)))[window.place()]
     total = count + ahead

@@ -130,7 +130,9 @@ def test_jobs_of_other_shapes_are_not_stacked(slides):
 
 
 def test_paths_of_a_stack_are_as_long_as_the_longest(slides):
-    longer = dataclasses.replace(slides, name="rest", path=slides.path.with_rest(3))
+    longer = dataclasses.replace(
+        slides, name="rest", path=slides.path.with_standstill(3)
+    )
     both = dm.stack([slides, longer])
     rows = slides.path.step_count
     assert both.path.positions.shape == (2, rows + 6, 3)
@@ -154,7 +156,7 @@ def test_the_gradient_of_a_job_is_that_of_differences(slides):
 @pytest.mark.slow
 def test_a_stack_of_jobs_is_simulated_as_one_after_the_other(slides):
     other = eqx.tree_at(lambda j: j.law.K_tc, slides, 8e8)
-    longer = dataclasses.replace(other, path=other.path.with_rest(3))
+    longer = dataclasses.replace(other, path=other.path.with_standstill(3))
     forces = jax.jit(jax.vmap(lambda job: dm.simulate(job).force))(
         dm.stack([slides, longer])
     )

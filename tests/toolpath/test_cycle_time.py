@@ -244,7 +244,7 @@ def test_rest_before_and_after_a_path_changes_no_limit():
     timed = TimedProgram.of(program((0, 0, 0), (0.01, 0.01, 0), (0, 0.02, 0)), LIMITS)
     plain, rested = (
         timed.within(**slides(path, (0.02, FREE, FREE)))
-        for path in (timed.path(PERIOD), timed.path(PERIOD).with_rest(7))
+        for path in (timed.path(PERIOD), timed.path(PERIOD).with_standstill(7))
     )
     assert plain.along == rested.along != ()
 

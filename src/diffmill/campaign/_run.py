@@ -55,7 +55,7 @@ def run_campaign(
     jobs = folder / _JOBS
     jobs.mkdir(parents=True, exist_ok=True)
     tasks = campaign_tasks(campaign, jobs.resolve())
-    records = _kept(tasks, jobs, retry=retry)
+    records = _finished_records(tasks, jobs, retry=retry)
     tell = on_progress or (lambda done, count, status: None)
     missing = {t.digest: t for t in tasks if t.digest not in records}
     total = len({task.digest for task in tasks})
@@ -73,7 +73,7 @@ def run_campaign(
     return dataset
 
 
-def _kept(
+def _finished_records(
     tasks: list[Task], jobs: pathlib.Path, *, retry: bool
 ) -> dict[str, JobRecord]:
     """Return the results that need not be computed again."""

@@ -416,7 +416,7 @@ def _pass_interrupts_on() -> None:
     """
     before = sys.unraisablehook
 
-    def told(found: "sys.UnraisableHookArgs") -> None:
+    def repeat_interrupt(found: "sys.UnraisableHookArgs") -> None:
         if issubclass(found.exc_type, KeyboardInterrupt):
             # A little later, or it would be raised in here. By SIGTERM, since a shell
             # lets what it starts in the background ignore SIGINT.
@@ -425,7 +425,7 @@ def _pass_interrupts_on() -> None:
         else:
             before(found)
 
-    sys.unraisablehook = told
+    sys.unraisablehook = repeat_interrupt
 
 
 def _interrupt(number: int, frame: object) -> NoReturn:

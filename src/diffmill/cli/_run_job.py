@@ -94,7 +94,7 @@ def run_job(
     # Compiled code leaves the interpreter free to import what comes later.
     importing = threading.Thread(target=_import_later, daemon=True)
     importing.start()
-    with interruption_leaves(lambda: _left_before(results)), bad_input():
+    with interruption_leaves(lambda: _earlier_files(results)), bad_input():
         uncached = configure_jax(job_precision(file))
         with progress:
             progress.begin("reading the job")
@@ -114,7 +114,7 @@ def run_job(
     with locked_folder(folder) as unlocked:
         run = _Run(command, job, folder, may_replace, progress)
         if command == "correct":
-            with interruption_leaves(lambda: _left_before(results)), bad_input():
+            with interruption_leaves(lambda: _earlier_files(results)), bad_input():
                 if job.output.moves_ends:
                     run.program = JobProgram.of_job(file, allow_outside=allow_outside)
                 run.checkpoint = Checkpoint(folder, job, progress)
@@ -179,7 +179,7 @@ class _Run:
                     self._tell_chatter,
                 )
         except SimulationFailed as failure:
-            return _keep_failure(
+            return _write_failure(
                 self._folder, self._job, failure, force=self._may_replace
             )
         except BadInput:
@@ -296,7 +296,7 @@ def _can_be_written(job: "Job") -> bool:
     return job.path.is_upright or ".ngc" not in job.output.formats
 
 
-def _left_before(results: ResultsFolder) -> str:
+def _earlier_files(results: ResultsFolder) -> str:
     """Return what an interruption leaves before anything is computed."""
     parts = (results.path, results.checkpoint)
     earlier = " and ".join(str(path) for path in parts if path.exists())
@@ -401,7 +401,7 @@ def with_job(dataset: Dataset, job: "Job") -> Dataset:
     return dataset
 
 
-def _keep_failure(
+def _write_failure(
     folder: pathlib.Path, job: "Job", failure: "SimulationFailed", *, force: bool
 ) -> int:
     """Keep what an aborted run has computed; return the exit code 1."""

@@ -38,7 +38,7 @@ from ._check.end_force import end_notes
 from ._check.frames import base_note, program_base, tool_note
 from ._check.modes import (
     LONGEST_SUBSTEP,
-    check_held_force,
+    check_constant_force,
     check_modes,
     check_sag,
     counting_modes,
@@ -281,7 +281,7 @@ def _controller(
     return found
 
 
-def _rest_rows(controller: Controller, tooth_period: float) -> float:
+def _standstill_rows(controller: Controller, tooth_period: float) -> float:
     """Return the rows for which a program is at rest before and after it.
 
     It is no whole number yet, nor a finite one where a servo hardly follows.
@@ -416,7 +416,7 @@ def _with_rows(parts: _Parts, timed: TimedProgram, problems: list[str]) -> _Part
     """Return the parts with a timed program and its rows."""
     path = rows_of(timed, parts.tooth_period, problems)
     if path is not None and parts.controller is not None:
-        rest = _rest_rows(parts.controller, parts.tooth_period)
+        rest = _standstill_rows(parts.controller, parts.tooth_period)
         if not path.step_count + 2 * rest <= _MOST_STEPS:
             problems.append(
                 f"[controller]: found a delay for which the program rests {rest:.3g} "
@@ -424,7 +424,7 @@ def _with_rows(parts: _Parts, timed: TimedProgram, problems: list[str]) -> _Part
                 "with its own"
             )
             return parts._replace(timed=timed, path=None)
-        path = path.with_rest(math.ceil(rest))
+        path = path.with_standstill(math.ceil(rest))
     return parts._replace(timed=timed, path=path)
 
 
@@ -569,7 +569,7 @@ def _simulation(
                 f"but at least the tooth period, {period * 1e3:g} ms, is required"
             )
     if parts.modes is not None:
-        check_held_force(fastest, period / substeps, context.notes)
+        check_constant_force(fastest, period / substeps, context.notes)
     elif fastest > 0.0:
         check_modes(fastest, period / substeps, context.notes)
     if tables.correction is not None:

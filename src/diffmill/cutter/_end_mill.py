@@ -109,9 +109,9 @@ class EndMill(AbstractCutter):
                     f"Argument `{name}` must be finite and below {limit:g} in size, "
                     f"but is {value}."
                 )
-        self._check_kept()
+        self._check_replaced()
 
-    def _check_kept(self) -> None:
+    def _check_replaced(self) -> None:
         """Refuse values put in the place of those that the cutter was made for."""
         even = 2 * math.pi / self.flute_count * np.arange(self.flute_count)
         for name, is_left_out, usual in (

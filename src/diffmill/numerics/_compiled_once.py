@@ -101,7 +101,7 @@ class CachedJit(Generic[P, R]):
         self._plain = function
         self._function = eqx.filter_jit(function)
         self._tasks: list[_Task] = []
-        self._kept: dict[str, _KeptProgram | None] = {}
+        self._kept: dict[str, _StoredProgram | None] = {}
         self.__doc__ = function.__doc__
 
     def prepare(self, *args: P.args, **kwargs: P.kwargs) -> None:
@@ -140,7 +140,7 @@ class CachedJit(Generic[P, R]):
         is_ours = self._plain.__module__.partition(".")[0] == __name__.partition(".")[0]
         return is_ours and "<" not in self._plain.__qualname__
 
-    def _program(self, arguments: object) -> "_KeptProgram | None":
+    def _program(self, arguments: object) -> "_StoredProgram | None":
         """Return the program for such arguments; None if none may be kept."""
         if not (self._has_name and is_kept()) or _is_elsewhere(arguments):
             return None
@@ -152,10 +152,10 @@ class CachedJit(Generic[P, R]):
             f"{self._plain.__module__}:{self._plain.__qualname__}", text
         )
         if name not in self._kept:
-            self._kept[name] = self._found(name, arguments)
+            self._kept[name] = self._stored_program(name, arguments)
         return self._kept[name]
 
-    def _found(self, name: str, arguments: object) -> "_KeptProgram | None":
+    def _stored_program(self, name: str, arguments: object) -> "_StoredProgram | None":
         found = read_program(name)
         if found is None:
             try:
@@ -165,7 +165,7 @@ class CachedJit(Generic[P, R]):
                 # what the function itself refuses, it refuses where it is called.
                 return None
             write_program(name, found)
-        return _KeptProgram(found)
+        return _StoredProgram(found)
 
     def _exported(self, arguments: object) -> TracedProgram:
         """Trace the function."""
@@ -185,7 +185,7 @@ class CachedJit(Generic[P, R]):
         return TracedProgram(exported, results[0])
 
 
-class _KeptProgram:
+class _StoredProgram:
     """A traced program, of which only the arrays are arguments."""
 
     def __init__(self, program: TracedProgram):

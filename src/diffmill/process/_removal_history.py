@@ -407,7 +407,7 @@ class RemovalHistory(NamedTuple):
         table = state.track.poses
         start = (waiting.row - 1) * S
         steps = waiting.passing * S
-        ahead = self._turns_ahead() * self.cutter.flute_count * S
+        ahead = self._lead_turns() * self.cutter.flute_count * S
         first = start + jnp.floor(steps - ahead).astype(jnp.int32)
         first = jnp.clip(first, 0, table.tip.shape[0] - count)
         nodes = jax.tree.map(
@@ -434,7 +434,7 @@ class RemovalHistory(NamedTuple):
         turns = 1 + self._helix_turns()
         return math.ceil(turns * self.cutter.flute_count * self.substeps) + 3
 
-    def _turns_ahead(self) -> float | Float[Array, ""]:
+    def _lead_turns(self) -> float | Float[Array, ""]:
         """Return by how many turns a pass begins before its tooth looks forward.
 
         Higher up the edge of a right-hand helix follows the tip, that of a left-hand

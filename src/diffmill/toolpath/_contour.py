@@ -113,7 +113,7 @@ def _nearest_segment(
     """
     count = actual.shape[0]
 
-    def look(best, offset):
+    def nearer(best, offset):
         start = jax.lax.dynamic_slice_in_dim(padded, offset, count)
         end = jax.lax.dynamic_slice_in_dim(padded, offset + 1, count)
         vector = _from_segment(actual, start, end)
@@ -126,5 +126,5 @@ def _nearest_segment(
 
     start = (jnp.full((count,), jnp.inf, actual.dtype), jnp.zeros((count,), jnp.int32))
     offsets = jnp.arange(2 * window, dtype=jnp.int32)
-    (_, offset), _ = jax.lax.scan(look, start, offsets)
+    (_, offset), _ = jax.lax.scan(nearer, start, offsets)
     return jnp.arange(count, dtype=jnp.int32) + offset

@@ -317,7 +317,7 @@ class Program:
         moves = self.moves[self.approach_count :]
         if not any(move.rest for move in moves):
             return moves
-        return tuple(one for move in moves for one in _with_rest(move))
+        return tuple(one for move in moves for one in _split_dwell(move))
 
     @property
     def path_length(self) -> float:
@@ -399,7 +399,7 @@ def _across(point: Point, centre: Point, normal: Point) -> Point:
     return x - along * u, y - along * v, z - along * w
 
 
-def _with_rest(move: Move) -> tuple[Move, ...]:
+def _split_dwell(move: Move) -> tuple[Move, ...]:
     """Return a move, and the rest at its end as another one."""
     if not move.rest:
         return (move,)

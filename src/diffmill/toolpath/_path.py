@@ -207,7 +207,7 @@ class Path(eqx.Module):
             tool_x=tool_x,
         )
 
-    def with_rest(self, count: int) -> "Path":
+    def with_standstill(self, count: int) -> "Path":
         """Return the path with rows at rest before and after it.
 
         Args:

@@ -12,7 +12,7 @@ mesh with its sharp edges, and can be compared with an ideal one point by point.
 are read and written in `_files.py` alone.
 """
 
-from ._dexel.dexel_cloud import TakenPieces as TakenPieces
+from ._dexel.dexel_cloud import RemovedPieces as RemovedPieces
 from ._dexel.interval import CutInterval as CutInterval
 from ._dexel.occupancy import Discs as Discs
 from ._dexel.occupancy_in_space import occupancy_in_space as occupancy_in_space

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Shaped
 
 
-def taken_rows(
+def gathered_rows(
     table: Shaped[Array, "row ..."], at: Int[Array, "..."]
 ) -> Shaped[Array, "..."]:
     """Return some rows of a table, unchecked.
@@ -62,7 +62,7 @@ class Pose(eqx.Module):
         Args:
             at: Their indices, from 0 to below the number of poses.
         """
-        return jax.tree.map(lambda x: taken_rows(x, at), self)
+        return jax.tree.map(lambda x: gathered_rows(x, at), self)
 
     def frozen(self) -> "Pose":
         """Return the same poses as constants."""

@@ -12,7 +12,7 @@ from ...identification import CoupledStudy
 from ...robot import Robot
 from ...viz import plot_correlation, plot_force_fit
 from .report import Report, all_noted, noted
-from .text import kept_remark
+from .text import uncertainty_remark
 from .toml_snippets import doubted, force_toml, joints_toml
 
 # Joints that `[robot.bending_tool]` and `[robot.flange_spring]` add to those of a job.
@@ -94,7 +94,7 @@ def _toml(study: CoupledStudy, fit: CoupledStudy.Fit) -> list[str]:
         relative[word] = float(
             np.max(joint_errors[is_known] / np.abs(joint_values[is_known]))
         )
-        remarks[word] = kept_remark(joints, is_known)
+        remarks[word] = uncertainty_remark(joints, is_known)
     if behind:
         lines.append(
             f"# {', '.join(behind)}: see summary.txt; they follow from the keys of "

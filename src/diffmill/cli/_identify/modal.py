@@ -19,7 +19,7 @@ from ...viz import (
 )
 from .digits import Rounded
 from .report import Report, all_noted, noted
-from .text import kept_remark
+from .text import uncertainty_remark
 from .toml_snippets import commented, doubted, joints_toml, uncertainty_toml
 
 # Modes that explain a smaller share of what was measured are doubted.
@@ -78,7 +78,7 @@ def _toml(study: ModeStudy, found: ModeStudy.Fit) -> list[str]:
         return ["# No joint's damper is identifiable; see summary.txt."]
     values, errors = damping.damping, damping.standard_errors
     share = float(np.max(errors[known] / values[known]))
-    remark = kept_remark(robot.joint_names, known)
+    remark = uncertainty_remark(robot.joint_names, known)
     lines = [
         *joints_toml(robot, "joint_damping", values, errors, known),
         *uncertainty_toml("damping", share, remark),

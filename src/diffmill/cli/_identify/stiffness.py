@@ -12,7 +12,7 @@ from ...viz import (
     plot_prediction,
 )
 from .report import Report, all_noted, noted
-from .text import kept_remark
+from .text import uncertainty_remark
 from .toml_snippets import doubted, joints_toml, uncertainty_toml
 
 
@@ -96,7 +96,7 @@ def _toml(study: LoadTestStudy, found: LoadTestStudy.Fit) -> list[str]:
             why = "these loads do not show any joint well enough"
         return [f"# No stiffness: {why}; see summary.txt."]
     values, errors, known = fit.stiffness, fit.standard_errors, fit.identifiable
-    remark = kept_remark(fit.joint_names, known)
+    remark = uncertainty_remark(fit.joint_names, known)
     return [
         *joints_toml(study.robot, "joint_stiffness", values, errors, known),
         *uncertainty_toml("stiffness", found.relative_uncertainty, remark),

@@ -48,7 +48,9 @@ def correlation_lines(
     return lines
 
 
-def kept_remark(names: Sequence[str], known: Bool[np.ndarray, " name"]) -> str | None:
+def uncertainty_remark(
+    names: Sequence[str], known: Bool[np.ndarray, " name"]
+) -> str | None:
     """Return what an uncertainty does not hold for, None if it holds for all.
 
     Args:

@@ -51,7 +51,7 @@ def force_toml(
         lost = f"# {name}: not identifiable"
         if np.isfinite(value):
             lost += f", {text} {error} {unit}"
-        lines.append(f"{lost.rstrip()}; {_left_out(name)}")
+        lines.append(f"{lost.rstrip()}; {_default_text(name)}")
     return lines
 
 
@@ -62,7 +62,7 @@ def _unit(name: str) -> tuple[str, float]:
     return ("N/mm", 1e-3) if name.endswith("e") else ("N/mm^2", 1e-6)
 
 
-def _left_out(name: str) -> str:
+def _default_text(name: str) -> str:
     """Return what a job makes of a coefficient that it does not state."""
     if name in ("m_r", "m_a"):
         return "left out it is m_t"

@@ -57,7 +57,7 @@ class Progress:
             if self._console.is_terminal:
                 self._status.start()
             self._is_over = threading.Event()
-            threading.Thread(target=self._keep_up, daemon=True).start()
+            threading.Thread(target=self._refresh, daemon=True).start()
         return self
 
     def __exit__(
@@ -116,7 +116,7 @@ class Progress:
         if stays or not self._console.is_terminal:
             self._console.print(text, markup=False)
 
-    def _keep_up(self) -> None:
+    def _refresh(self) -> None:
         """Say now and then what goes on: on a terminal every second."""
         every = 1.0 if self._console.is_terminal else _LONGEST_SILENCE
         while not self._is_over.wait(0.2 * every):

@@ -62,7 +62,10 @@ def written_errors(
     """
     from ...io import OffsetStream
 
-    job, own = job.with_precision(), _left(final, np.asarray(final.is_cutting)).rms
+    job, own = (
+        job.with_precision(),
+        _written_error(final, np.asarray(final.is_cutting)).rms,
+    )
     found, said = {}, []
     for suffix in job.output.formats:
         name = f"corrected{suffix}"
@@ -170,10 +173,12 @@ def _run_written(job: "Job", final: "Solution", path: "Path") -> WrittenError:
         quiet = lambda message, share: None
         solution = simulate_with_slot_growth(job, tips, ThroughPoses(), quiet).solution
     solution.raise_unless_successful(job)
-    return _left(solution, np.asarray(final.is_cutting))
+    return _written_error(solution, np.asarray(final.is_cutting))
 
 
-def _left(solution: "Solution", is_cutting: Bool[np.ndarray, " step"]) -> WrittenError:
+def _written_error(
+    solution: "Solution", is_cutting: Bool[np.ndarray, " step"]
+) -> WrittenError:
     """Return the contour error where the tool cuts."""
     error = np.asarray(solution.contour_error, np.float64)[is_cutting]
     return WrittenError(float(np.sqrt(np.mean(error**2))), float(np.max(np.abs(error))))

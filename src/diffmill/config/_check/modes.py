@@ -111,7 +111,7 @@ def check_modes(fastest: float, substep: float, notes: list[str]) -> None:
     )
 
 
-def check_held_force(fastest: float, substep: float, notes: list[str]) -> None:
+def check_constant_force(fastest: float, substep: float, notes: list[str]) -> None:
     """Note a mode of a machine that a force held over the sub-steps drives too little.
 
     Args:

@@ -18,14 +18,14 @@ _TARE_PERIODS, _TARE_SAMPLES = 4.0, 20
 _LISTED = 8
 
 
-class FoundCuts(NamedTuple):
+class CutSearch(NamedTuple):
     """Cuts in a record, and whether quiet parts lie beside them."""
 
     cuts: list[CutSpan]
     has_quiet: bool
 
 
-def cuts_in(record: Record, tooth: float) -> FoundCuts:
+def cuts_in(record: Record, tooth: float) -> CutSearch:
     """Return the cuts in a record; all of it where none stands out."""
     window = _TARE_PERIODS * tooth
     cuts = CutSpan.find(record, tooth_frequency=1 / tooth, window=window)
@@ -37,7 +37,7 @@ def cuts_in(record: Record, tooth: float) -> FoundCuts:
     ]
     # Parts with a long gap between them are cuts of their own.
     stands_out = bool(cuts) and cuts != whole
-    return FoundCuts(cuts if stands_out else whole, stands_out)
+    return CutSearch(cuts if stands_out else whole, stands_out)
 
 
 def span_of(

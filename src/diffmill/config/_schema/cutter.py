@@ -178,7 +178,7 @@ class CutterTable(TomlTable):
 
     @pydantic.field_validator("overhang")
     @classmethod
-    def _beyond_flutes(cls, value: float | None, info: Any) -> float | None:
+    def _above_flutes(cls, value: float | None, info: Any) -> float | None:
         flutes = info.data.get("flute_length")
         if value is not None and flutes is not None and value < flutes:
             raise ValueError(

@@ -106,7 +106,7 @@ class LinearEdgeTable(TomlTable):
 
     def notes(self, place: str) -> tuple[str, ...]:
         """Return that a coefficient is large beside the tangential one."""
-        return _large_beside(place, self, ("K_tc", "K_rc", "K_ac"))
+        return _interchanged(place, self, ("K_tc", "K_rc", "K_ac"))
 
 
 class KienzleTable(TomlTable):
@@ -164,10 +164,10 @@ class KienzleTable(TomlTable):
 
     def notes(self, place: str) -> tuple[str, ...]:
         """Return that a coefficient is large beside the tangential one."""
-        return _large_beside(place, self, ("K_tc11", "K_rc11", "K_ac11"))
+        return _interchanged(place, self, ("K_tc11", "K_rc11", "K_ac11"))
 
 
-def _large_beside(
+def _interchanged(
     place: str, table: TomlTable, names: tuple[str, ...]
 ) -> tuple[str, ...]:
     """Return which coefficients are larger than the first of them by far."""

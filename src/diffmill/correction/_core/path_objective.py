@@ -73,7 +73,7 @@ class PathObjective(AbstractObjective):
         """
         contour = problem.contour(motion)
         lag = deviation_of(problem, motion) - contour
-        error = beyond(contour, self.tolerance)
+        error = deadband(contour, self.tolerance)
         error = error + jnp.asarray(lag_weight, contour.dtype) * lag
         return (error * row_shares(problem, contour.dtype)[:, None]).reshape(-1)
 
@@ -134,7 +134,7 @@ def check_objective(objective: object) -> None:
         )
 
 
-def beyond(
+def deadband(
     vector: Float[Array, "row axis"], tolerance: RealScalarLike
 ) -> Float[Array, "row axis"]:
     """Return vectors shortened by a tolerance, zero where they are shorter.

@@ -118,7 +118,7 @@ class FeedPoint(eqx.Module):
         tell = on_progress or (lambda message, share: None)
         state = LeastSquaresState(x, first, solver.damping)
         points = [_point(float("nan"), state)]
-        tell(_told(points[0]), 0.0)
+        tell(_point_text(points[0]), 0.0)
         for done, weight in enumerate(time_weights):
             name = f"weight {weight:g}"
             report = lambda at, done=done, name=name: tell(
@@ -136,7 +136,7 @@ class FeedPoint(eqx.Module):
                 callback=report,
             )
             points.append(_point(weight, state))
-            tell(f"{name}: {_told(points[-1])}", (done + 1) / len(time_weights))
+            tell(f"{name}: {_point_text(points[-1])}", (done + 1) / len(time_weights))
         return tuple(points)
 
 
@@ -153,7 +153,7 @@ def _point(weight: float, state: LeastSquaresState) -> FeedPoint:
     )
 
 
-def _told(point: FeedPoint) -> str:
+def _point_text(point: FeedPoint) -> str:
     return f"{point.cycle_time:.2f} s, contour error {1e6 * point.rms:.2f} um rms"
 
 

@@ -66,7 +66,7 @@ class JointLimits(eqx.Module):
             JobKinematics(job).motor_positions_from_joints(joints), np.float64
         )
         slope = np.asarray(JobKinematics(job).motor_slopes(joints, tips), np.float64)
-        bend = _bend(job, joints, tips, slope, max_offset)
+        bend = _limited_motors(job, joints, tips, slope, max_offset)
         least, most = (
             np.asarray(x, np.float64)[None]
             for x in (robot.joint_lower, robot.joint_upper)
@@ -108,7 +108,7 @@ class JointLimits(eqx.Module):
         _refuse(job, motors, excess, float(job.tooth_period), "")
 
 
-def _bend(
+def _limited_motors(
     job: Job,
     joints: Float[Array, "step joint"],
     tips: Float[Array, "step 3"] | None,

@@ -30,7 +30,7 @@ class JobPiece(AbstractPiece):
         adjoint: How to differentiate through the removal.
         wall_share: When in each period its wall is made; see `TipPlant`.
         has_joint_commands: Whether the command is joint positions, not tips.
-        rows_ahead: Last of the rows, of which only the command counts.
+        preview_rows: Last of the rows, of which only the command counts.
     """
 
     job: Job
@@ -38,14 +38,14 @@ class JobPiece(AbstractPiece):
     adjoint: AbstractAdjoint
     wall_share: Steps | None
     has_joint_commands: bool = eqx.field(static=True)
-    rows_ahead: int = eqx.field(static=True)
+    preview_rows: int = eqx.field(static=True)
 
     @property
     def _own(self) -> Job:
         """The job without the rows ahead."""
-        if self.rows_ahead == 0:
+        if self.preview_rows == 0:
             return self.job
-        path = jax.tree.map(lambda x: x[: -self.rows_ahead], self.job.path)
+        path = jax.tree.map(lambda x: x[: -self.preview_rows], self.job.path)
         return eqx.tree_at(lambda j: j.path, self.job, path)
 
     def run(self, command: Float[Array, "row axis"]) -> tuple[Motion, JobState]:
@@ -92,9 +92,9 @@ class JobPieces(AbstractPieces):
     has_joint_commands: bool = eqx.field(static=True, default=False)
 
     @property
-    def rows_ahead(self) -> int:
+    def preview_rows(self) -> int:
         """Rows by which the controller, on a clock late by its delay, looks ahead."""
-        return rows_ahead(self.job)
+        return preview_rows(self.job)
 
     def begin(self, command: Float[Array, "row axis"]) -> JobState:
         """Return the state in equilibrium with the motion of the first period."""
@@ -113,14 +113,14 @@ class JobPieces(AbstractPieces):
         job = eqx.tree_at(
             lambda j: j.stock, with_rows(self.job, rows), state.coupled.process.stock
         )
-        ahead, shares = self.rows_ahead, self.wall_share
+        ahead, shares = self.preview_rows, self.wall_share
         if shares is not None:
             shares = np.asarray(shares)[rows[: rows.size - ahead]]
         are_joints = self.has_joint_commands
         return JobPiece(job, state, self.adjoint, shares, are_joints, ahead)
 
 
-def rows_ahead(job: Job) -> int:
+def preview_rows(job: Job) -> int:
     """Return by how many rows a job's controller looks ahead; 0 for an ideal one."""
     if job.controller is None:
         return 0
@@ -134,7 +134,7 @@ def _begin(
     command: Float[Array, "row axis"],
     has_joint_commands: bool,
     rows_before: int,
-    rows_ahead: int,
+    preview_rows: int,
 ) -> JobState:
     start = command[0]
     if job.robot is not None:
@@ -145,7 +145,7 @@ def _begin(
     motors, memory = JobKinematics(job).motor_positions_from_joints(joints), None
     if job.controller is not None:
         period = job.tooth_period
-        memory = job.controller.begin(motors, period, rows_before, rows_ahead)
+        memory = job.controller.begin(motors, period, rows_before, preview_rows)
         motors = job.controller.follow(motors, period, memory).motors
     model = JobModel.of(job, adjoint)
     assert model.machine is not None

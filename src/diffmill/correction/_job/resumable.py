@@ -14,7 +14,7 @@ from .._segments.receding_horizon import RecedingHorizon
 from .case_runner import CaseRecord
 from .method import Optimiser
 from .objective import UnsuitableSettings
-from .plant_segments import rows_ahead
+from .plant_segments import preview_rows
 
 # Paths of at most so many rows are corrected as a whole, unless the job says otherwise.
 _WHOLE_ROWS = 6000
@@ -61,7 +61,7 @@ def segment_rows(job: Job, *, has_own_objective: bool) -> SegmentRows | None:
             '"path" and not one of your own, its mode "dynamic", its model certain '
             f'and its method "gauss_newton", but has a horizon of {horizon} rows.'
         )
-    overlap, ahead = settings.overlap, rows_ahead(job)
+    overlap, ahead = settings.overlap, preview_rows(job)
     if overlap == "auto":
         knots = round(_OVERLAP_KNOTS * settings.knot_spacing / float(job.tooth_period))
         overlap = max(1, min(knots + ahead, horizon // 2))

@@ -108,14 +108,14 @@ class GaussNewton(AbstractMethod):
             lower=-bound,
             upper=bound,
             state=resume,
-            callback=_told(on_progress, on_state, self.bounds is not None),
+            callback=_step_callback(on_progress, on_state, self.bounds is not None),
         )
         if found is None:
             offset, result = spline.offsets(fit.coefficients(first)), RESULTS.non_finite
             return corrected(problem, jnp.asarray(nominal) + offset, result=result)
         x = fit.coefficients(found.x)
         if self.bounds is not None:
-            check_held(self.bounds, fit, found, bound)
+            check_bounds(self.bounds, fit, found, bound)
         is_settled = found.has_converged and fit.is_within(found.value)
         return corrected(
             problem,
@@ -183,7 +183,7 @@ def _over_draws(errors: Float[np.ndarray, "draw error"]) -> dict[str, float]:
     }
 
 
-def check_held(
+def check_bounds(
     bounds: SurfaceBounds,
     fit: OffsetFit,
     found: LeastSquaresState,
@@ -209,7 +209,7 @@ def check_held(
     raise refusal(bounds, errors, x, max_offset, fit.limits)
 
 
-def _told(
+def _step_callback(
     on_progress: OnProgress | None,
     on_state: Callable[[LeastSquaresState], object] | None,
     has_bounds: bool,

@@ -20,7 +20,7 @@ class AbstractPiece(eqx.Module):
 
         Args:
             command: The command at the rows and at those ahead of them, see
-                `AbstractPieces.rows_ahead`, shape (row, axis).
+                `AbstractPieces.preview_rows`, shape (row, axis).
 
         Returns:
             The motion, without rows ahead, whose row 0 is the state at the start, and
@@ -39,7 +39,7 @@ class AbstractPieces(eqx.Module):
     """
 
     @property
-    def rows_ahead(self) -> int:
+    def preview_rows(self) -> int:
         """Rows behind a row whose command the plant knows, and follows, already."""
         return 0
 

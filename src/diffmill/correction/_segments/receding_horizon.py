@@ -40,14 +40,14 @@ from ...optimise import LeastSquaresStep, LevenbergMarquardt
 from .._core.method import AbstractMethod, MethodResult, OnProgress, corrected
 from .._core.problem import Problem
 from .._method.checkpoint import Arrays, OnCheckpoint
-from .._method.gauss_newton import GaussNewton, check_held
+from .._method.gauss_newton import GaussNewton, check_bounds
 from .._method.offset_fit import ContourResidual, fit_offsets, offset_fit
 from .._spline.command_limits import LinearLimits
 from .._spline.projection import project
 from .._spline.spline_offsets import CLAMPED, SplineOffsets, SplineWindow
 from .._spline.window_limits import window_limits
 from .._surface.segment_limits import (
-    HeldRows,
+    BoundedRows,
     cut_points,
     deepest_rows,
     is_kept,
@@ -127,7 +127,7 @@ class RecedingHorizon(AbstractMethod):
         rows = problem.nominal.shape[0]
         spline = SplineOffsets(rows, problem.time_step, self.method.knot_spacing)
         run = self._first(problem, spline, start)
-        total, seconds = sum(self._left(rows, 0, 0)), []
+        total, seconds = sum(self._remaining_segments(rows, 0, 0)), []
         steps = [self._solver(rows, k).max_steps for k in range(self._sweeps(rows))]
         while run.row < rows:
             began, before = time.perf_counter(), run.row
@@ -137,7 +137,7 @@ class RecedingHorizon(AbstractMethod):
             # A step costs alike in all sweeps.
             seconds.append((time.perf_counter() - began) / max(1, steps[run.sweep]))
             error = rms_so_far(problem, run, counted)
-            counts = self._left(rows, run.sweep, run.row)
+            counts = self._remaining_segments(rows, run.sweep, run.row)
             left, steps_left = sum(counts), np.dot(counts, steps[run.sweep :])
             if left and run.row >= rows:
                 run = self._again(problem, spline, run)
@@ -151,7 +151,7 @@ class RecedingHorizon(AbstractMethod):
                     break
         return self._corrected(problem, spline, run)
 
-    def _left(self, rows: int, sweep: int, row: int) -> list[int]:
+    def _remaining_segments(self, rows: int, sweep: int, row: int) -> list[int]:
         """Return the segments from a row on, of this sweep and of those after it."""
         now = self.segment_count(rows - row) if row < rows else 0
         return [now] + [self.segment_count(rows)] * (self._sweeps(rows) - 1 - sweep)
@@ -194,13 +194,13 @@ class RecedingHorizon(AbstractMethod):
         self, problem: Problem, spline: SplineOffsets, coefficients: np.ndarray
     ) -> PyTree:
         """Return the state at row 0, given three rows and those ahead."""
-        count = 3 + self.pieces.rows_ahead
+        count = 3 + self.pieces.preview_rows
         return self.pieces.begin(command_at(problem, spline, coefficients, 0, count))
 
     def _window(self, spline: SplineOffsets, row: int) -> SplineWindow:
         """Return what the segment from a row on sees of the spline."""
-        ahead = self.pieces.rows_ahead
-        return spline.window(row, self.horizon, rows_ahead=ahead)
+        ahead = self.pieces.preview_rows
+        return spline.window(row, self.horizon, preview_rows=ahead)
 
     def _limits(
         self, problem: Problem, spline: SplineOffsets
@@ -231,7 +231,7 @@ class RecedingHorizon(AbstractMethod):
             # The whole run that follows tells the error of these rows.
             return dataclasses.replace(run, row=rows, state=state)
         kept = part_of(problem, self.pieces, state, row, self._hop + 1)
-        count, window = self._hop + 1 + self.pieces.rows_ahead, problem.window
+        count, window = self._hop + 1 + self.pieces.preview_rows, problem.window
         command = command_at(problem, spline, run.coefficients, row, count, window)
         state, square = advance(kept, jnp.asarray(command))
         square, row = run.square + float(square), row + self._hop
@@ -282,7 +282,7 @@ class RecedingHorizon(AbstractMethod):
         changed = np.asarray(window.is_free)
         new[place[changed]] = x[changed]
         if bounds is not None:
-            check_held(bounds, fit, found, bound)
+            check_bounds(bounds, fit, found, bound)
         if run.sweep == 0 and not limits and bounds is None:
             again = self._overlapping(spline, run.row)
             new[again] = run.coefficients[again]
@@ -309,7 +309,7 @@ class RecedingHorizon(AbstractMethod):
         return window_bounds(
             bounds,
             deepest_rows(bounds, problem.desired),
-            HeldRows(row, self._end(rows, row, self._hop), ends[row]),
+            BoundedRows(row, self._end(rows, row, self._hop), ends[row]),
             shift=problem.window - row,
             count=most,
         )

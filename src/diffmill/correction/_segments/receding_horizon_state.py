@@ -154,7 +154,7 @@ def part_of(
     problem: Problem, pieces: AbstractPieces, state: PyTree, row: int, count: int
 ) -> Problem:
     """Return the problem of some rows, with more around them that do not count."""
-    rows, reach, ahead = problem.nominal.shape[0], problem.window, pieces.rows_ahead
+    rows, reach, ahead = problem.nominal.shape[0], problem.window, pieces.preview_rows
     inner = np.arange(row, row + count + ahead)
     around = np.clip(np.arange(row - reach, row + count + ahead + reach), 0, rows - 1)
     weights = np.asarray(problem.is_cutting)[np.minimum(inner, rows - 1)]

@@ -141,7 +141,7 @@ class SplineOffsets(eqx.Module):
         return solveh_banded(band, adjoint_offsets(self, np.asarray(signal)))
 
     def window(
-        self, first_row: int, row_count: int, *, rows_ahead: int = 0
+        self, first_row: int, row_count: int, *, preview_rows: int = 0
     ) -> "SplineWindow":
         """Return the part of the spline that some rows see.
 
@@ -149,8 +149,8 @@ class SplineOffsets(eqx.Module):
             first_row: First row of the window.
             row_count: Rows of the window but for those ahead; may reach beyond the
                 program.
-            rows_ahead: Further rows that the plant looks at, so that it has done at the
-                first row what as many behind it say.
+            preview_rows: Further rows that the plant looks at, so that it has done at
+                the first row what as many behind it say.
 
         Returns:
             The window, in NumPy.
@@ -159,7 +159,7 @@ class SplineOffsets(eqx.Module):
         """
         start, weights = _basis(self)
         last = self.step_count - 1
-        total = row_count + rows_ahead
+        total = row_count + preview_rows
         rows = np.minimum(np.arange(first_row, first_row + total), last)
         first = int(start[first_row])
         # A window sees as many intervals as its length, and parts of two more.
@@ -167,7 +167,7 @@ class SplineOffsets(eqx.Module):
         count = int(np.ceil((total - 1) * per_row)) + 5
         place = first + np.arange(count)
         # The weight of the fourth coefficient is zero on a knot.
-        held = rows[rows_ahead]
+        held = rows[preview_rows]
         untouched = int(start[held]) + (4 if weights[held, 3] > 0 else 3)
         has_end = first_row + row_count > last
         least = max(untouched, CLAMPED)

@@ -178,8 +178,8 @@ class FinishedSurface(eqx.Module):
         **Differentiability**: none, a host function.
         """
         tips = np.asarray(desired, np.float64)
-        walls = _wall_points(stock, tips, radius).thinned().settled(tips, radius)
-        floors = _floor_points(stock, tips, radius, reach).thinned()
+        walls = _wall_points(stock, tips, radius).decimated().settled(tips, radius)
+        floors = _floor_points(stock, tips, radius, reach).decimated()
         poses = [
             _wall_poses(walls, tips, radius, reach),
             _floor_poses(floors.points, tips, radius, reach),
@@ -191,7 +191,8 @@ class FinishedSurface(eqx.Module):
             )
         width = max(rows.size for kind in poses for rows in kind)
         kept = [
-            _thinned(np.flatnonzero(seen), _PAIRS // (2 * width)) for seen in is_seen
+            _evenly_chosen(np.flatnonzero(seen), _PAIRS // (2 * width))
+            for seen in is_seen
         ]
         walls, floors = walls.taken(kept[0]), floors.taken(kept[1])
         rows = np.stack(
@@ -368,9 +369,9 @@ class _SurfacePoints(NamedTuple):
     cut_by: Float[np.ndarray, " point"]
     rise: Float[np.ndarray, " point"]
 
-    def thinned(self) -> "_SurfacePoints":
+    def decimated(self) -> "_SurfacePoints":
         """Return so many of the points as a surface has of a kind."""
-        return self.taken(_thinned(np.arange(len(self.points)), _POINTS))
+        return self.taken(_evenly_chosen(np.arange(len(self.points)), _POINTS))
 
     def taken(self, few: Int[np.ndarray, " few"]) -> "_SurfacePoints":
         """Return some of the points."""
@@ -442,7 +443,9 @@ def _floor_points(
     return _SurfacePoints(points, upward, some, np.zeros(len(points)))
 
 
-def _thinned(places: Int[np.ndarray, " many"], most: int) -> Int[np.ndarray, " few"]:
+def _evenly_chosen(
+    places: Int[np.ndarray, " many"], most: int
+) -> Int[np.ndarray, " few"]:
     """Return evenly chosen places, not more than so many and at least one."""
     if len(places) <= most:
         return places

@@ -16,7 +16,7 @@ from .finished_surface import SAME_DEPTH, FinishedSurface
 from .surface_limits import SurfaceBounds
 
 
-class HeldRows(NamedTuple):
+class BoundedRows(NamedTuple):
     """Rows of a segment in which bounds of the surface are held.
 
     Attributes:
@@ -33,7 +33,7 @@ class HeldRows(NamedTuple):
 def window_bounds(
     bounds: SurfaceBounds,
     deepest: Int[np.ndarray, " point"],
-    rows: HeldRows,
+    rows: BoundedRows,
     *,
     shift: int,
     count: int,

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..._types import FloatRows3, RealScalarLike
-from .._core.path_objective import AbstractObjective, beyond, deviation_of, row_shares
+from .._core.path_objective import AbstractObjective, deadband, deviation_of, row_shares
 from .._core.problem import Motion, Problem
 from .finished_surface import FinishedSurface
 
@@ -43,7 +43,7 @@ class SurfaceObjective(AbstractObjective):
         **Differentiability**: that of `FinishedSurface.errors`; kink at the band.
         """
         error = self.surface.errors(motion.actual)
-        error = beyond(error[:, None], self.tolerance)[:, 0]
+        error = deadband(error[:, None], self.tolerance)[:, 0]
         error = error * jnp.sqrt(self._weights(jnp, error.dtype))
         rest = deviation_of(problem, motion) * row_shares(problem, error.dtype)[:, None]
         rest = jnp.asarray(lag_weight, error.dtype) * rest

@@ -40,7 +40,7 @@ from .model import (
     parameter_values,
     scaled_job,
 )
-from .parameters import fitted_names, kept_note
+from .parameters import fitted_names, fixed_parameter_note
 from .report import EXPLAINED, coupled_notes, explained_by
 
 # A parameter is a number if its relative standard error is at most this: two of them
@@ -181,7 +181,7 @@ def fit_coupled(
     if problem.share(found.value, found.x) < EXPLAINED:
         # Far from the truth all slopes are small, and ringing has minima of its own.
         found = _other_start(problem, solver, state, found)
-    kept = () if fit is not None else kept_note(job, force is not None)
+    kept = () if fit is not None else fixed_parameter_note(job, force is not None)
     return _report(problem, found, max_relative_error, kept)
 
 

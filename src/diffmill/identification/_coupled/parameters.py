@@ -59,7 +59,7 @@ def fitted_names(
     return tuple(dict.fromkeys(wanted))
 
 
-def kept_note(job: Job, has_force: bool) -> tuple[str, ...]:
+def fixed_parameter_note(job: Job, has_force: bool) -> tuple[str, ...]:
     """Say which parameters are usually fitted, but have no scale to start from.
 
     Args:

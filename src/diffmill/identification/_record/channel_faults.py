@@ -53,25 +53,25 @@ def check_channels(
     square = float(np.sum(F**2))
     one = np.where(known[:, :, None], np.eye(3)[None], 0.0)
     middle = time - 0.5 * (time[0] + time[-1])
-    before = _fit(A, F).left
+    before = _fit(A, F).squared_residual
     if not before > _ENOUGH * square:
         return ()
     offset = _fit(np.concatenate([A, one], axis=2), F)
     slope = one * middle[:, None, None]
     drift = _fit(np.concatenate([A, one, slope], axis=2), F)
     values = dict(zip("xyz", offset.x[-3:], strict=True))
-    found = [_Fault(offset.left, "offset", values)]
-    if drift.left < _DRIFTS * offset.left:
+    found = [_Fault(offset.squared_residual, "offset", values)]
+    if drift.squared_residual < _DRIFTS * offset.squared_residual:
         values = dict(zip("xyz", drift.x[-3:], strict=True))
-        found = [_Fault(drift.left, "drift", values)]
+        found = [_Fault(drift.squared_residual, "drift", values)]
     gain = _gain(A, F)
     if max(gain.ratio, 1 / gain.ratio) > _GAIN:
         values = {"axis": float(gain.axis), "ratio": gain.ratio}
-        found.append(_Fault(gain.left, "channel_gain", values))
-    least = min(one.left for one in found)
+        found.append(_Fault(gain.squared_residual, "channel_gain", values))
+    least = min(one.squared_residual for one in found)
     told = sorted(
-        (one for one in found if one.left <= _AS_WELL * least),
-        key=lambda one: one.left,
+        (one for one in found if one.squared_residual <= _AS_WELL * least),
+        key=lambda one: one.squared_residual,
     )
     return tuple(
         Diagnosis(
@@ -80,11 +80,11 @@ def check_channels(
             {
                 **{k: float(v) for k, v in one.values.items()},
                 "before": before / square,
-                "left": one.left / square,
+                "left": one.squared_residual / square,
             },
         )
         for one in told
-        if one.left < _EXPLAINS * before
+        if one.squared_residual < _EXPLAINS * before
     )
 
 
@@ -92,12 +92,12 @@ class _Fault(NamedTuple):
     """A fault of the channels with its numbers, and the squared force that it leaves.
 
     Attributes:
-        left: [N^2].
+        squared_residual: [N^2].
         code: Of a `Diagnosis`.
         values: Of a `Diagnosis`.
     """
 
-    left: float
+    squared_residual: float
     code: str
     values: dict[str, float]
 
@@ -105,7 +105,7 @@ class _Fault(NamedTuple):
 class _Fit(NamedTuple):
     """Squared force that a fit leaves [N^2], and its unknowns, shape (unknown,)."""
 
-    left: float
+    squared_residual: float
     x: Float[np.ndarray, " unknown"]
 
 
@@ -118,7 +118,7 @@ def _fit(A: Float[np.ndarray, "row 3 unknown"], F: Float[np.ndarray, "row 3"]) -
 class _Gain(NamedTuple):
     """Gain of one channel [-], and the squared force that it leaves [N^2]."""
 
-    left: float
+    squared_residual: float
     axis: int
     ratio: float
 
@@ -131,7 +131,7 @@ def _gain(
     g = np.einsum("tcu,tc->cu", A, F)
     square = float(np.sum(F**2))
 
-    def left(axis: int, gain: float) -> float:
+    def squared_residual(axis: int, gain: float) -> float:
         own = np.ones(3)
         own[axis] = gain
         right = own @ g
@@ -140,7 +140,7 @@ def _gain(
 
     seen = np.flatnonzero(np.any(F != 0, axis=0))
     tried = [
-        _Gain(left(axis, float(gain)), axis, float(gain))
+        _Gain(squared_residual(axis, float(gain)), axis, float(gain))
         for axis in seen.tolist()
         for gain in _GAINS
     ]

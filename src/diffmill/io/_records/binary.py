@@ -72,7 +72,7 @@ def read_mat(path: pathlib.Path) -> Table:
     for name, value in leaves.items():
         last = name.rpartition(".")[2]
         label = name if shared[last] > 1 else last
-        columns += _matrix_columns(label, value, _labels_beside(name, leaves))
+        columns += _matrix_columns(label, value, _sibling_labels(name, leaves))
     return _checked(path, Table(columns, _rate_in(scalars)))
 
 
@@ -154,7 +154,7 @@ def _leaves(content: Any, name: str = "") -> Iterator[tuple[str, Any]]:
         yield name, content
 
 
-def _labels_beside(name: str, leaves: dict[str, Any]) -> list[str] | None:
+def _sibling_labels(name: str, leaves: dict[str, Any]) -> list[str] | None:
     """Return the first list of texts in the same structure, or None."""
     folder = name.rpartition(".")[0]
     for other, value in leaves.items():

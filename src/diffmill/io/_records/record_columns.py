@@ -23,7 +23,7 @@ OTHERS = (
 )
 
 
-def looks_named(names: list[str]) -> bool:
+def has_quantity_names(names: list[str]) -> bool:
     """Return whether one of the names is that of a quantity of a record."""
     return any(
         re.fullmatch(q.pattern, name, re.IGNORECASE)

@@ -17,7 +17,7 @@ from ...units import (
     RECEPTANCE,
     TIME,
 )
-from .record_columns import looks_named
+from .record_columns import has_quantity_names
 from .table import ELECTRIC, Label, is_unit, split_unit
 
 # Consecutive rows after which a table needs no further evidence: a header may hold
@@ -226,7 +226,7 @@ def header_of(lines: list[str], layout: Layout) -> Header:
             units, unit_row = bare, index
             continue
         labels = [split_unit(cell, FORCE, TIME) for cell in row]
-        is_sure = looks_named([label.name for label in labels])
+        is_sure = has_quantity_names([label.name for label in labels])
         if unit_row is not None or is_sure or (is_nearest and layout.delimiter):
             named = zip(labels, units, strict=True)
             end = max(index, unit_row or 0) + 1

@@ -80,7 +80,7 @@ class BottomEdges(eqx.Module):
         e = _by_annulus(outward)
         radius = self._radii(cutter, now.dtype)[None, None, None]
         tip, old = (x[:, None, None, None] for x in (now, before))
-        chip = _left_by(cutter, radius, e, tip, old).height
+        chip = _earlier_end(cutter, radius, e, tip, old).height
         layer = jnp.maximum(chip, _LEAST_LAYER)
         at = [
             (tip[..., 0] + e.sin * radius - stock.origin[0]) / stock.spacing,
@@ -171,7 +171,7 @@ class BottomEdges(eqx.Module):
         chip = jnp.full(weight.shape, nothing, tip.dtype)
         is_first = jnp.zeros(weight.shape, bool)
         for k in range(old.shape[0]):
-            left, is_under = _left_by(cutter, radius[None, None], e, tip, old[k])
+            left, is_under = _earlier_end(cutter, radius[None, None], e, tip, old[k])
             is_first = is_under if k == 0 else is_first
             chip = jnp.where(is_under, jnp.minimum(chip, left), chip)
         feed = safe_norm(old[0] - tip)
@@ -228,7 +228,7 @@ class _EarlierEnd(NamedTuple):
     is_under: Bool[Array, "*place annulus"]
 
 
-def _left_by(
+def _earlier_end(
     cutter: AbstractCutter,
     radius: Float[Array, "*#place annulus"],
     outward: RadialDirection,

@@ -30,8 +30,8 @@ from ...workpiece import (
     Discs,
     Pose,
     RemovalWindow,
+    RemovedPieces,
     Stock,
-    TakenPieces,
 )
 from .._chip import (
     chip_along,
@@ -205,7 +205,7 @@ class DexelCloud(AbstractEngagement):
         cutter = process.cutter
         motion = jax.lax.stop_gradient(tip - before)
         heading = jnp.arctan2(motion[0], motion[1])
-        taken = TakenPieces.of_pass(stock, cutter, self.window, tip)
+        taken = RemovedPieces.of_pass(stock, cutter, self.window, tip)
         floor = jax.lax.stop_gradient(before[2] - tip[2])
         rows = _rows(taken[0], taken[1], tip, heading, floor)
         columns = _columns(taken[2], cutter, before, tip, heading)
@@ -299,8 +299,8 @@ def _angle_of(turn: Float[Array, " element"]) -> Float[Array, " element"]:
 
 
 def _rows(
-    along_x: TakenPieces,
-    along_y: TakenPieces,
+    along_x: RemovedPieces,
+    along_y: RemovedPieces,
     tip: Float[Array, " 3"],
     heading: Float[Array, ""],
     floor: Float[Array, ""],
@@ -332,7 +332,7 @@ def _rows(
 
 
 def _columns(
-    along_z: TakenPieces,
+    along_z: RemovedPieces,
     cutter: AbstractCutter,
     before: Float[Array, " 3"],
     tip: Float[Array, " 3"],

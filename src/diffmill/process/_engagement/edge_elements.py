@@ -48,7 +48,7 @@ from .leading_half import (
     half_turn_contact_weight,
     leading_fade,
 )
-from .upright import check_looks
+from .upright import check_updates
 
 # Elements nearer to the axis than this share of the radius count as standing there.
 _LEAST_SINE = 0.02
@@ -105,7 +105,7 @@ class EdgeElementsInSpace(AbstractEngagement):
 
     def __check_init__(self):
         """Refuse looks that do not divide a period."""
-        check_looks(self)
+        check_updates(self)
 
     def advance(
         self, process: Process, state: ProcessState, index: Int[Array, ""], pose: Pose

@@ -61,7 +61,7 @@ class UprightFlat(AbstractEngagement):
 
     def __check_init__(self):
         """Refuse updates that do not divide a period."""
-        check_looks(self)
+        check_updates(self)
 
     def advance(
         self, process: Process, state: ProcessState, index: Int[Array, ""], pose: Pose
@@ -184,7 +184,7 @@ class UprightFlat(AbstractEngagement):
         return self.discs.centers(dtype)
 
 
-def check_looks(engagement: AbstractEngagement) -> None:
+def check_updates(engagement: AbstractEngagement) -> None:
     """Refuse updates that do not divide the sub-steps of a period."""
     # The next look is foreseen from the last two sub-steps of one.
     is_short = 1 < engagement.updates_per_period == engagement.substeps

@@ -42,7 +42,7 @@ class Instants(NamedTuple):
         Args:
             turns: Turns in a row.
         """
-        return _held(lambda at: at._shares(turns), self)
+        return _computed_once(lambda at: at._shares(turns), self)
 
     def _shares(self, turns: Float[Array, ""]) -> Float[Array, " instant"]:
         """Return them, computed anew wherever XLA uses them."""
@@ -74,7 +74,7 @@ class _Place(NamedTuple):
 
 
 class _Sum(NamedTuple):
-    """A sum and the rest that its rounding leaves, as `_with_rest` adds them."""
+    """A sum and the rest that its rounding leaves, as `_two_sum` adds them."""
 
     value: Float[Array, "..."]
     rest: Float[Array, "..."]
@@ -130,7 +130,7 @@ class Signal(eqx.Module):
 
     def _place(self, at: Instants) -> _Place:
         """Return the places of some instants."""
-        return _held(self._place_anew, at)
+        return _computed_once(self._place_anew, at)
 
     def _place_anew(self, at: Instants) -> _Place:
         """Return them, computed anew wherever XLA uses them."""
@@ -143,7 +143,7 @@ class Signal(eqx.Module):
         return _Place(jnp.clip(row, 0, last - 1), share, after)
 
 
-def _held(find: Callable[[Instants], _Tree], at: Instants) -> _Tree:
+def _computed_once(find: Callable[[Instants], _Tree], at: Instants) -> _Tree:
     """Return what is found of instants, computed once.
 
     XLA computes a cheap number anew wherever it is used, and rounds it there in one way
@@ -165,8 +165,8 @@ def _running_sums(
     """
 
     def add(sums: _Sum, step: Array) -> tuple[_Sum, _Sum]:
-        value, lost = _with_rest(sums.value, step)
-        sums = _with_rest(value, sums.rest + lost)
+        value, lost = _two_sum(sums.value, step)
+        sums = _two_sum(value, sums.rest + lost)
         return sums, sums
 
     begun = _Sum(jnp.zeros_like(still), jnp.zeros_like(still))
@@ -174,7 +174,7 @@ def _running_sums(
     return jax.tree.map(lambda x, y: jnp.concatenate([x[None], y]), begun, sums)
 
 
-def _with_rest(a: Array, b: Array) -> _Sum:
+def _two_sum(a: Array, b: Array) -> _Sum:
     """Return a sum and what its rounding leaves, after Knuth."""
     total = a + b
     b_held = total - a

@@ -156,7 +156,7 @@ def _solve_pose(
     tool_rotation: ToolRotation,
     attempts: int,
 ) -> JointSolution:
-    start = _rest_virtual(robot, q_start)
+    start = _unloaded_virtual(robot, q_start)
     q = _first_pose(robot, T, start, tool_rotation, attempts)
     return _finish(robot, T, q, tool_rotation)
 
@@ -179,7 +179,7 @@ def _solve_path(
         q = _search(robot, T, q, _PATH_STEPS, tool_rotation, chooses=False)
         return q, q
 
-    start = _rest_virtual(robot, q_start)
+    start = _unloaded_virtual(robot, q_start)
     first = _first_pose(robot, Ts[0], start, tool_rotation, attempts)
     index = jnp.arange(Ts.shape[0], dtype=jnp.int32)
     is_live = live_rows(index, row_count)
@@ -190,7 +190,9 @@ def _solve_path(
     return dataclasses.replace(found, midway_error=error)
 
 
-def _rest_virtual(robot: Robot, q: Float[Array, " joint"]) -> Float[Array, " joint"]:
+def _unloaded_virtual(
+    robot: Robot, q: Float[Array, " joint"]
+) -> Float[Array, " joint"]:
     return jnp.where(robot.motor_mask(), q, 0.0)
 
 
@@ -403,7 +405,7 @@ def start_elsewhere(
     upper = jnp.minimum(upper, q_start + half)
     somewhere = lower + shares[count] * (upper - lower)
     far = jnp.minimum(2.0 * count.astype(q_start.dtype) / attempts, 1.0)
-    return _rest_virtual(robot, q_start + far * (somewhere - q_start))
+    return _unloaded_virtual(robot, q_start + far * (somewhere - q_start))
 
 
 def unwound(

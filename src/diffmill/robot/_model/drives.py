@@ -61,7 +61,7 @@ class Backlash(eqx.Module):
         stretch = jnp.where(is_light, middle, jnp.sign(y) * edge)
         return jnp.where(has_gap, stretch, y)
 
-    def dead_zone_at_rest(
+    def static_dead_zone(
         self, x: Float[Array, " joint"]
     ) -> tuple[Float[Array, " joint"], Float[Array, " joint"]]:
         """Return y whose `deflection` is x, and its slope.

@@ -121,7 +121,7 @@ def _without(robot: Robot, body: Body) -> Robot:
     turned = matrix_product(matrix_product(R, body.inertia), R.T)
     mass, old = robot.link_masses[link], robot.link_centers[link]
     left = mass - body.mass
-    _check_left(robot, left, body.mass)
+    _check_link_mass(robot, left, body.mass)
     # A link that is the spindle and nothing else leaves no mass to have a centre.
     has_left = left > _NOTHING * mass
     _check_whole(robot, body, left, center)
@@ -149,7 +149,9 @@ def _steiner(mass: Float[Array, ""], arm: Float[Array, " 3"]) -> Float[Array, "3
     return mass * (jnp.sum(arm**2) * eye - arm[:, None] * arm[None, :])
 
 
-def _check_left(robot: Robot, left: Float[Array, ""], mass: Float[Array, ""]) -> None:
+def _check_link_mass(
+    robot: Robot, left: Float[Array, ""], mass: Float[Array, ""]
+) -> None:
     """Raise if a known link is lighter than what is taken out of it."""
     if not isinstance(left, Tracer) and float(left) < -1e-9:
         raise ValueError(

@@ -146,13 +146,13 @@ def _depths(
     is_rapid = np.asarray(path.is_rapid)[row] | (row == 0)
     bounds = columns.bounds()
     box = _reach(tip, axis, cutter.nominal_radius, np.inf, bounds)
-    is_near = _meets(box, bounds)
+    is_near = _overlaps(box, bounds)
     holder_box, is_held = box, np.zeros(len(row), bool)
     is_looked = is_held
     if holder is not None:
         foot = tip + holder.overhang * axis
         holder_box = _reach(foot, axis, holder.radius, holder.length, bounds)
-        is_held = _meets(holder_box, bounds)
+        is_held = _overlaps(holder_box, bounds)
         # Between two looks the holder moves by half a spacing at most.
         travel = _travel(tip, axis, holder)
         is_looked = is_held & _every(travel, d / 2, np.asarray(path.line)[row], is_held)
@@ -274,7 +274,7 @@ def _reach(
     return Box(np.minimum(foot, end) - across, np.maximum(foot, end) + across)
 
 
-def _meets(box: Box, block: Box) -> Bool[np.ndarray, " sample"]:
+def _overlaps(box: Box, block: Box) -> Bool[np.ndarray, " sample"]:
     return np.all((box.low < block.high) & (box.high > block.low), axis=1)
 
 

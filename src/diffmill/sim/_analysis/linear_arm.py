@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 
 from ...numerics import CachedJit
 from ...robot import ArmTerms, Robot, TipModes
-from .._machine._integrator.base import ArmState, MotorCommand, held_rate
+from .._machine._integrator.base import ArmState, MotorCommand, constant_command_rate
 
 
 class LinearArm(eqx.Module):
@@ -77,7 +77,7 @@ def linear_arms(
 
         def rate(x: Float[Array, " state"], F: Float[Array, " 3"]) -> Array:
             command = MotorCommand(theta, v)
-            found = held_rate(robot, terms, unravel(x), command, J.T @ F)
+            found = constant_command_rate(robot, terms, unravel(x), command, J.T @ F)
             return ravel_pytree(found)[0]
 
         A, G = jax.jacfwd(rate, argnums=(0, 1))(flat, jnp.zeros(3, flat.dtype))

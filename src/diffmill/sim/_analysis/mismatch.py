@@ -60,7 +60,7 @@ def mismatch(job: Job, solution: Solution, share: float = 0.1) -> tuple[Mismatch
     names, cuts = job.parameter_names, np.asarray(solution.is_cutting)
     off = {"stiffness": 0.0, "damping": 0.0, "force": 0.0}
 
-    def left(kind: str, factor: float) -> float:
+    def rms_error(kind: str, factor: float) -> float:
         is_off = parameter_uncertainty(names, **{**off, kind: 1.0})
         other = job.with_scaled(jnp.asarray(is_off * np.log(factor)))
         run = Solution.of_command(
@@ -70,6 +70,6 @@ def mismatch(job: Job, solution: Solution, share: float = 0.1) -> tuple[Mismatch
         return float(np.sqrt(np.mean(error**2))) if error.size else 0.0
 
     return tuple(
-        Mismatch(kind, left(kind, 1 - share), left(kind, 1 + share))
+        Mismatch(kind, rms_error(kind, 1 - share), rms_error(kind, 1 + share))
         for kind in ("stiffness", "force")
     )

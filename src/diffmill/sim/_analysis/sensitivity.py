@@ -105,7 +105,9 @@ def sensitivity(job: Job, *, commanded: FloatRows3 | None = None) -> Sensitivity
         jnp.asarray(job.path.positions), job.tool_axes, job.cutter, finished
     )
     pushed = [
-        _pushed(job, command, shares, jnp.zeros(len(names), dtype).at[k].set(1))
+        _path_derivatives(
+            job, command, shares, jnp.zeros(len(names), dtype).at[k].set(1)
+        )
         for k in range(len(names))
     ]
     return Sensitivity(
@@ -117,7 +119,7 @@ def sensitivity(job: Job, *, commanded: FloatRows3 | None = None) -> Sensitivity
     )
 
 
-class _Pushed(eqx.Module):
+class _PathDerivatives(eqx.Module):
     """Tip and contour, or their derivatives in one direction [m]."""
 
     deviation: Float[Array, "step 3"]
@@ -126,22 +128,22 @@ class _Pushed(eqx.Module):
 
 
 @eqx.filter_jit
-def _pushed(
+def _path_derivatives(
     job: Job,
     command: Float[Array, "step 3"],
     shares: Float[Array, " step"],
     direction: Float[Array, " parameter"],
-) -> _Pushed:
+) -> _PathDerivatives:
     """Return the derivatives of the tip and of its contour error in a direction."""
     joints, _ = JobKinematics(job).joints(command)
     desired = jnp.asarray(job.path.positions)
 
-    def errors(log_scale: Float[Array, " parameter"]) -> _Pushed:
+    def errors(log_scale: Float[Array, " parameter"]) -> _PathDerivatives:
         scaled = job.with_scaled(log_scale)
         motors = JobKinematics(scaled).motor_positions_from_joints(joints)
         ran = JobModel.of(scaled, ThroughPoses()).run(motors)
         at = desired + wall_deviation(ran.ends, desired, shares)
-        return _Pushed(
+        return _PathDerivatives(
             ran.actual, contour_vector(at, desired), contour_error(at, desired)
         )
 

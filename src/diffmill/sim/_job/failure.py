@@ -46,10 +46,10 @@ def _failed(solution: "Solution", job: Job | None) -> str:
     else:
         is_bad = np.asarray(solution.has_failed)
     text = f"{text} First at {_at(solution, is_bad)}."
-    return f"{text}{_swinging(solution, is_bad, job)}"
+    return f"{text}{_vibration_text(solution, is_bad, job)}"
 
 
-def _swinging(
+def _vibration_text(
     solution: "Solution", is_bad: Bool[np.ndarray, " step"], job: Job | None
 ) -> str:
     """Return how far the tool is off its path, where that is striking."""
@@ -110,11 +110,11 @@ def _unreached(
     away, tilt = float(found.position_residual[k]), float(found.rotation_residual[k])
     return (
         f"{text}: the nearest pose found is {1e3 * away:.3g} mm and "
-        f"{np.rad2deg(tilt):.3g} deg away{_held_by(job.robot, job, found, k)}."
+        f"{np.rad2deg(tilt):.3g} deg away{_limiting_joints(job.robot, job, found, k)}."
     )
 
 
-def _held_by(robot: Robot, job: Job, found: JointSolution, k: int) -> str:
+def _limiting_joints(robot: Robot, job: Job, found: JointSolution, k: int) -> str:
     """Return the joints that hold the arm back: beyond limits, or stretched."""
     q = np.asarray(found.q)[k]
     excess = np.asarray(found.limit_excess)[k]

@@ -120,7 +120,7 @@ class Replay(eqx.Module):
         flat = lambda x: np.broadcast_to(x, shape).reshape(-1, shape[-1])[:, first:]
         height = engagement.element_heights(self.process.cutter, part.tip.dtype)
         height = np.asarray(height, np.float64)[first:]
-        left = _left_of_feed(part)
+        left = _feed_normal_angle(part)
         starts = 2 * np.pi / teeth * (np.arange(teeth) + last[0] - 1) - left
         behind = int(np.argmin(np.sin(starts)))
         columns, is_of_tooth = engagement.angles, flat(tooth) == behind
@@ -158,7 +158,7 @@ def _actual_poses(job: Job, solution: Solution) -> Pose:
     return Pose(tips, joint_poses(job.robot, frame, joints, False).axis)
 
 
-def _left_of_feed(path: Pose) -> float:
+def _feed_normal_angle(path: Pose) -> float:
     """Return the immersion angle on the left of the feed at the end of a path [rad]."""
     frame = np.asarray(Pose.frame(path[-1].direction()), np.float64)
     feed = (np.asarray(path.tip[-1] - path.tip[-2], np.float64)) @ frame

@@ -145,7 +145,7 @@ class Solution(eqx.Module):
         elif program.machine is not None:
             motors, is_reached = JobKinematics(program.kinematics).motors(tips)
         ran = _follow(program, rigid.stock, _Command(tips, motors, is_reached))
-        end = _remove_rest(program.process, ran.ending)
+        end = _remove_pending(program.process, ran.ending)
         if steps != count:
             ran = cut_rows(ran, _FOLLOWED_ROWS, count)
             end = cut_rows(end, _END_ROWS, count)
@@ -420,7 +420,7 @@ def rigid_cut(
     # For what is differentiated no chips are kept.
     row = None if is_traced((job, along)) else on_device(np.asarray(chip_row, np.int32))
     found = _cut_along(program, tips, row)
-    cut = found.ended(_remove_rest(program.process, found.ending))
+    cut = found.ended(_remove_pending(program.process, found.ending))
     if along is None:
         is_none = lambda x: x is None
         of = lambda run: (run.instantaneous_force, run.chips)
@@ -430,7 +430,7 @@ def rigid_cut(
             runout = lambda p: p.process.cutter.runout
             program = eqx.tree_at(runout, program, replace_fn=jnp.zeros_like)
             found = _cut_along(program, tips, row)
-            true = found.ended(_remove_rest(program.process, found.ending))
+            true = found.ended(_remove_pending(program.process, found.ending))
             is_good = cut.result == RESULTS.successful
             result = RESULTS.where(is_good, true.result, cut.result)
             cut = eqx.tree_at(lambda c: (c.stock, c.result), cut, (true.stock, result))
@@ -522,7 +522,7 @@ def _cut_along(
 
 
 @CachedJit
-def _remove_rest(process: Process, ending: Ending) -> RunEnd:
+def _remove_pending(process: Process, ending: Ending) -> RunEnd:
     """Return what removes all that waits: the same for every machine."""
     return ending.remove(process)
 

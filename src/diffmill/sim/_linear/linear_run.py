@@ -47,8 +47,8 @@ from .period_slopes import (
     LoadedPeriod,
     ScaledBy,
     arm_slopes,
+    engagement_with_slopes,
     force_slopes,
-    look_with_slopes,
     period_force,
 )
 
@@ -151,7 +151,7 @@ class LinearRun(eqx.Module):
         directions = motors.shape[-1]
         if parameters is None:
             parameters = jnp.zeros((0, directions), motors.dtype)
-        start = self._at_rest(motors, parameters)
+        start = self._initial_change(motors, parameters)
         rows = (
             jnp.arange(motors.shape[0] - 1, dtype=jnp.int32),
             *(self.loads, self.arm, self.pose, self.circles, motors[:-1], motors[1:]),
@@ -185,7 +185,7 @@ class LinearRun(eqx.Module):
         **Differentiability**: linear; forward mode only.
         """
         steps, _, directions = motors.shape
-        start = self._at_rest(motors, jnp.zeros((0, directions), motors.dtype))
+        start = self._initial_change(motors, jnp.zeros((0, directions), motors.dtype))
         # Between two ends of sub-steps the tip goes straight on.
         nodes = jnp.arange(self.substeps + 1, dtype=motors.dtype)
         away = jnp.abs(shares[:, None] * self.substeps - nodes[None])
@@ -217,7 +217,7 @@ class LinearRun(eqx.Module):
         *_, walls, forces = jax.lax.fori_loop(begin, steps - 1, period, carry)
         return WallChange(walls, forces)
 
-    def _at_rest(
+    def _initial_change(
         self,
         motors: Float[Array, "step joint direction"],
         parameters: Float[Array, "parameter direction"],
@@ -368,7 +368,7 @@ def linearise(
             row.period,
             row.command,
             row.is_live,
-            look=look_with_slopes,
+            look=engagement_with_slopes,
         )
         before, after = state.process, ended.process
         # As the period saw it, before its own poses became the most recent.
@@ -379,7 +379,7 @@ def linearise(
         found = substeps.found
         if found is None:
             predicted = eqx.tree_at(lambda p: p.tip, middles, substeps.predicted)
-            found = look_with_slopes(process, near, row.period, predicted)
+            found = engagement_with_slopes(process, near, row.period, predicted)
         force = period_force(process, near, found, middles)
         arm = LoadedPeriod(state.machine, row.command, substeps.loads)
         return ended, _PeriodJacobians(out, arm, force)

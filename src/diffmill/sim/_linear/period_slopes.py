@@ -170,7 +170,7 @@ class PeriodForce(eqx.Module):
     circles: Int[Array, " circle"]
 
 
-def look_with_slopes(
+def engagement_with_slopes(
     process: Process, state: ProcessState, index: Int[Array, ""], predicted: Pose
 ) -> Engagement:
     """Return the engagement of a period, with what changes its samples.
@@ -208,7 +208,7 @@ def period_force(
     Args:
         process: The process.
         state: State after the removal of this period.
-        found: The engagement, of `look_with_slopes`.
+        found: The engagement, of `engagement_with_slopes`.
         middles: Poses in the middle of the sub-steps, shape (substep, 3).
     """
     assert found.sample_jvp is not None

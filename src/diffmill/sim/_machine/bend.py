@@ -200,7 +200,7 @@ class _Excess(NamedTuple):
         robot, tau = bend.robot, bend.torque(load)
         assert robot.backlash is not None
         stretch = bend.motors - q - robot.servo_deflection(tau)
-        y, slope = robot.backlash.dead_zone_at_rest(stretch)
+        y, slope = robot.backlash.static_dead_zone(stretch)
         return cls(y - tau / robot.joint_stiffness, slope)
 
     def step(

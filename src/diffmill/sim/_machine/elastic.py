@@ -16,7 +16,7 @@ from ...robot import ArmTerms, Robot, forward_kinematics
 from ...workpiece import Pose
 from ._integrator.base import AbstractIntegrator, ArmState, MotorCommand
 from ._integrator.midpoint import Midpoint
-from .midpoint_terms import HeldSpan, middle_terms
+from .midpoint_terms import FrozenTerms, middle_terms
 from .span import AbstractPeriodDynamics
 from .substeps import AbstractInertialMachine, CommandRow, start_rate
 
@@ -107,7 +107,7 @@ class ElasticArm(AbstractInertialMachine):
         """Return the robot in a period, from its state and the motors."""
         robot, rule = self.robot, self.integrator
         rate = (row.stop - row.start) / process.tooth_period
-        held = HeldSpan(process.tooth_period, process.engagement.substeps)
+        held = FrozenTerms(process.tooth_period, process.engagement.substeps)
         terms = ArmTerms.of_state(robot, state.q, state.v)
         T_base_work, is_upright = self.T_base_work, process.engagement.is_upright
         pose = in_work(T_base_work, terms.T_base_tool, is_upright)

@@ -13,7 +13,7 @@ from ..._types import RealScalarLike
 from ...robot import ArmTerms, Robot
 from ._integrator.base import AbstractIntegrator, ArmState, MotorCommand
 from ._integrator.midpoint import Midpoint
-from .midpoint_terms import HeldSpan, middle_terms
+from .midpoint_terms import FrozenTerms, middle_terms
 
 
 class FreeMotion(eqx.Module):
@@ -65,7 +65,7 @@ def free_motion(
     h = jnp.asarray(time_step, start.q.dtype)
     command = MotorCommand(motor_positions, jnp.zeros_like(motor_positions))
     rest = jnp.zeros_like(start.q)
-    span = HeldSpan(h * held, held)
+    span = FrozenTerms(h * held, held)
 
     def step(begun: PyTree, state: ArmState) -> ArmState:
         return rule.step(robot, begun, state, command, rest, h)

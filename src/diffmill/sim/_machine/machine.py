@@ -29,7 +29,7 @@ from ...process import (
     RemovedVolume,
 )
 from ...workpiece import Pose, PoseTrack, Stock
-from .kept_chips import KeptChips
+from .turn_chips import TurnChips
 
 
 class RunState(eqx.Module):
@@ -115,7 +115,7 @@ class AbstractMachine(eqx.Module):
     def joint_positions(self, state: PyTree) -> Float[Array, " joint"] | None:
         """Return the joint positions [rad or m], None without joints."""
 
-    def chips(self, state: PyTree) -> KeptChips | None:
+    def chips(self, state: PyTree) -> TurnChips | None:
         """Return what the teeth met in the periods that are kept, None for none."""
         del state
 
@@ -300,7 +300,7 @@ class Run(eqx.Module):
     has_failed: Bool[Array, " step"]
     result: RESULTS
     instantaneous_force: Float[Array, "step sample 3"] | None
-    chips: KeptChips | None = None
+    chips: TurnChips | None = None
 
 
 # The fields of `Run` with a row per step.
@@ -376,7 +376,7 @@ class RunRows(eqx.Module):
     joint_positions: Float[Array, "step joint"] | None
     initial_overlap_volume: Float[Array, ""]
     instantaneous_force: Float[Array, "step sample 3"] | None
-    chips: KeptChips | None
+    chips: TurnChips | None
     ending: Ending
 
     def ended(self, end: RunEnd) -> Run:

@@ -16,7 +16,7 @@ from ...robot import ArmTerms, Robot
 from ._integrator.base import AbstractIntegrator, ArmState, MotorCommand
 
 
-class HeldSpan(eqx.Module):
+class FrozenTerms(eqx.Module):
     """The time for which the robot's terms are held.
 
     Attributes:
@@ -39,7 +39,7 @@ def middle_terms(
     terms: ArmTerms,
     state: ArmState,
     motors: MotorCommand,
-    span: HeldSpan,
+    span: FrozenTerms,
 ) -> ArmTerms:
     """Return the terms where the arm will be half a span later, free of load.
 

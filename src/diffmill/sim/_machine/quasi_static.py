@@ -94,7 +94,7 @@ class QuasiStaticArm(AbstractCompliant):
     ) -> tuple[RunState, Period, LoadedSubsteps]:
         """Return what `period` does, and the sub-steps."""
         start, dtype = state.machine, row.stop.dtype
-        bend = self._bend(process, start, row)
+        bend = self._deflection(process, start, row)
         middles, last = process.substep_middles(dtype), process.substep_ends(dtype)
         predicted = bend.expected(start.load, middles)
         cutting, cut, removed = process.advance(
@@ -153,7 +153,7 @@ class QuasiStaticArm(AbstractCompliant):
         loads: Float[Array, "substep load"],
     ) -> PeriodMotion:
         """Return the motion in a period, from its loads."""
-        bend, load = self._bend(process, state, row), jnp.mean(loads, axis=0)
+        bend, load = self._deflection(process, state, row), jnp.mean(loads, axis=0)
         middles = process.substep_middles(load.dtype)
         return PeriodMotion(
             end=bend.balance(load),
@@ -163,7 +163,7 @@ class QuasiStaticArm(AbstractCompliant):
             looked=bend.expected(state.load, middles),
         )
 
-    def _bend(
+    def _deflection(
         self, process: Process, start: StaticEquilibrium, row: CommandRow
     ) -> StaticDeflection:
         """Return how the arm bends in a period, from its start and the motors."""

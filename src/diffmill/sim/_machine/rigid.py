@@ -21,8 +21,8 @@ from ...process import (
     choose_engagement,
 )
 from ...workpiece import Pose, Stock
-from .kept_chips import KeptChips, kept_chips
 from .machine import AbstractMachine, Period, Run, RunState
+from .turn_chips import TurnChips, turn_chips
 
 
 class PathRow(eqx.Module):
@@ -52,7 +52,7 @@ class RigidState(eqx.Module):
     """
 
     pose: Pose
-    chips: KeptChips | None = None
+    chips: TurnChips | None = None
 
 
 class Rigid(AbstractMachine):
@@ -76,10 +76,10 @@ class Rigid(AbstractMachine):
         count, substeps = process.cutter.flute_count, process.engagement.substeps
         middles = command[0].repeated(substeps)
 
-        def chips() -> KeptChips:
+        def chips() -> TurnChips:
             state = process.begin(command[0], 1)
             cut = process.engage(state, jnp.ones((), jnp.int32), middles)
-            return kept_chips(process, cut, middles, state.recent)
+            return turn_chips(process, cut, middles, state.recent)
 
         room = jax.tree.map(
             lambda x: jnp.zeros((count + 1, *x.shape), x.dtype), jax.eval_shape(chips)
@@ -102,7 +102,7 @@ class Rigid(AbstractMachine):
         """Return None: it has no joints."""
         del state
 
-    def chips(self, state: RigidState) -> KeptChips | None:
+    def chips(self, state: RigidState) -> TurnChips | None:
         """Return the chips that are kept."""
         return state.chips
 
@@ -128,7 +128,7 @@ class Rigid(AbstractMachine):
             is_kept = (periods_left >= 0) & (periods_left < teeth)
             recent = cutting.recent
             found = if_valid(
-                is_kept, lambda: kept_chips(process, cut, row.middles, recent)
+                is_kept, lambda: turn_chips(process, cut, row.middles, recent)
             )
             place = jnp.where(is_kept, jnp.mod(index, teeth), teeth)
             chips = jax.tree.map(lambda x, new: x.at[place].set(new), chips, found)

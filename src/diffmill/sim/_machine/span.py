@@ -108,7 +108,7 @@ class MovedSubstep(NamedTuple):
     load: Float[Array, "*substep load"]
 
 
-class PushedSpan(eqx.Module):
+class MachinePeriod(eqx.Module):
     """A machine in a period, and the tool that the teeth push.
 
     Attributes:
@@ -149,7 +149,7 @@ class PushedSpan(eqx.Module):
 class _Given(eqx.Module):
     """All that sub-steps follow from."""
 
-    pushed: PushedSpan
+    pushed: MachinePeriod
     start: PyTree
     rows: SubstepRow
 

@@ -25,7 +25,7 @@ from ...process import (
 )
 from ...workpiece import Pose
 from .machine import AbstractMachine, Period, RunState
-from .span import AbstractPeriodDynamics, PushedSpan, SubstepRow
+from .span import AbstractPeriodDynamics, MachinePeriod, SubstepRow
 
 
 class CommandRow(eqx.Module):
@@ -174,12 +174,12 @@ class AbstractInertialMachine(AbstractCompliant):
             )
             advanced = RunState(cutting, start, state.period_count)
             cut = None
-            move = lambda: _run_looks(coupled, advanced, index, times, drift)
+            move = lambda: _run_updates(coupled, advanced, index, times, drift)
         else:
             cutting, cut, removed = process.advance(
                 cutting, index, span.pose, predicted, is_live, look
             )
-            looked = _Look(predicted, cut)
+            looked = _Update(predicted, cut)
             before = _TeethPassed.of(coupled, cutting.recent)
             move = lambda: _run_substeps(coupled, before, looked, start, times)
         rest = jnp.broadcast_to(span.pose.tip[None], predicted.tip.shape)
@@ -255,7 +255,7 @@ class _Coupled(eqx.Module):
     load_count: int = eqx.field(static=True)
 
 
-class _Look(eqx.Module):
+class _Update(eqx.Module):
     """A look at the stock: the poses that were expected, and what was found there."""
 
     predicted: Pose
@@ -308,7 +308,7 @@ class _TeethPassed(NamedTuple):
         return _TeethPassed(earlier, cut(within, 3))
 
 
-class _BeforeLook(NamedTuple):
+class _BeforeUpdate(NamedTuple):
     """The machine before a look.
 
     Attributes:
@@ -323,7 +323,7 @@ class _BeforeLook(NamedTuple):
     ways: Float[Array, "substep 3"]
 
 
-class _LookRow(NamedTuple):
+class _UpdateRow(NamedTuple):
     """The sub-steps of one look, or of all.
 
     Attributes:
@@ -337,7 +337,7 @@ class _LookRow(NamedTuple):
     recent: Pose
 
 
-def _run_looks(
+def _run_updates(
     coupled: _Coupled,
     begun: RunState,
     index: Int[Array, ""],
@@ -356,13 +356,15 @@ def _run_looks(
 
     passed = _TeethPassed.of(coupled, cutting.recent)
 
-    def part(before: _BeforeLook, row: _LookRow) -> tuple[_BeforeLook, LoadedSubsteps]:
+    def part(
+        before: _BeforeUpdate, row: _UpdateRow
+    ) -> tuple[_BeforeUpdate, LoadedSubsteps]:
         recent = row.recent
         near = eqx.tree_at(lambda p: p.recent, cutting, recent)
         predicted = along(pose, recent.tip[0] + before.ahead)
         substeps = Substeps(row.first, count)
         cut = process.engage(near, index, predicted, substeps)
-        look = _Look(predicted, cut)
+        look = _Update(predicted, cut)
         teeth = passed.part(row.first, before.ways, count)
         end, rows = _run_substeps(coupled, teeth, look, before.machine, row.times)
         ways = before.ways
@@ -373,7 +375,7 @@ def _run_looks(
         off = rows.tips - recent.tip[0]
         later = jnp.arange(1, count + 1, dtype=off.dtype)[:, None]
         ahead = off[-1:] + later * (off[-1:] - off[-2:-1])
-        return _BeforeLook(end, ahead, ways), rows
+        return _BeforeUpdate(end, ahead, ways), rows
 
     split = lambda x: x.reshape(updates_per_period, count, *x.shape[1:])
     recent = jax.tree.map(
@@ -381,9 +383,9 @@ def _run_looks(
     )
     first = count * jnp.arange(updates_per_period, dtype=jnp.int32)
     ahead = jnp.broadcast_to(drift, (count, 3))
-    looked = _LookRow(first, split(times), recent)
+    looked = _UpdateRow(first, split(times), recent)
     ways = jnp.zeros_like(cutting.recent.tip[0])
-    before = _BeforeLook(begun.machine, ahead, ways)
+    before = _BeforeUpdate(begun.machine, ahead, ways)
     last, rows = jax.lax.scan(part, before, looked)
     return last.machine, jax.tree.map(lambda x: x.reshape(-1, x.shape[-1]), rows)
 
@@ -391,14 +393,14 @@ def _run_looks(
 def _run_substeps(
     coupled: _Coupled,
     before: _TeethPassed,
-    look: _Look,
+    look: _Update,
     start: PyTree,
     times: Float[Array, " substep"],
 ) -> tuple[PyTree, LoadedSubsteps]:
     """Return the state after sub-steps of a period, and these."""
     span = coupled.span
     rows = SubstepRow(times, before.earlier, look.found.samples, before.within)
-    pushed = PushedSpan(
+    pushed = MachinePeriod(
         _tool_of(coupled.process), span, look.found.decimated, coupled.load_count
     )
     end, moved = pushed.run(start, rows)

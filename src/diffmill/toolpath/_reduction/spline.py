@@ -79,7 +79,7 @@ class SplineFit:
         for spread in range(_SPREADS):
             knots = self._spread(knots)
             if spread >= _SETTLED:
-                found = self._thinned(self._halved(knots))
+                found = self._decimated(self._halved(knots))
                 best = found if found.size < best.size else best
         return best
 
@@ -120,7 +120,7 @@ class SplineFit:
             middle = (knots[:-1] + knots[1:]) // 2
             knots = np.unique(np.concatenate([knots, middle[is_bad]]))
 
-    def _thinned(self, knots: Knots) -> Knots:
+    def _decimated(self, knots: Knots) -> Knots:
         """Return points without those that the tolerance does not need."""
         for phase in range(_APART):
             out = np.setdiff1d(knots[1 + phase : -1 : _APART], self.fixed)

@@ -308,15 +308,18 @@ def _limited(legs: list[Leg], along: tuple[WayLimit, ...]) -> list[Leg]:
             out.append(leg)
         elif isinstance(leg.piece, Blend) or not parts or rest <= SHORTEST:
             for limit in kept:
-                leg = _held(leg, limit)
+                leg = _within_way_limit(leg, limit)
             out.append(leg)
         else:
             pieces = leg.split([*parts, rest])
-            out += [_held(p, limit) for p, limit in zip(pieces, kept, strict=True)]
+            out += [
+                _within_way_limit(p, limit)
+                for p, limit in zip(pieces, kept, strict=True)
+            ]
     return out
 
 
-def _held(leg: Leg, limit: WayLimit) -> Leg:
+def _within_way_limit(leg: Leg, limit: WayLimit) -> Leg:
     """Return a leg within a limit of the way."""
     leg = leg.slower(limit.speed, limit.cause)
     if limit.acceleration >= leg.acceleration:

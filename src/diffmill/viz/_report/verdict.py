@@ -114,7 +114,7 @@ def verdict(dataset: "xarray.Dataset", *, is_complete: bool = True) -> Verdict:
     expected = dataset.attrs.get("expected_contour_error_rms_m")
     model = _over_draws(dataset, case) or (
         " All of it is predicted for a machine that is exactly as modelled"
-        f"{_beside_model(dataset)}; [simulation] scatter or [correction.uncertainty] "
+        f"{_mismatch_text(dataset)}; [simulation] scatter or [correction.uncertainty] "
         "tell of one that is not."
     )
     deepest = _deepest(dataset, case)
@@ -239,7 +239,7 @@ def _over_draws(dataset: "xarray.Dataset", case: str) -> str:
     )
 
 
-def _beside_model(dataset: "xarray.Dataset") -> str:
+def _mismatch_text(dataset: "xarray.Dataset") -> str:
     """Return what the command leaves where stiffness or forces are 10 % off."""
     names = ("stiffness_off_rms", "force_off_rms")
     if any(name not in dataset.attrs for name in names):

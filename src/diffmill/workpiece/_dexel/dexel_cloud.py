@@ -20,7 +20,7 @@ from .removal import RemovalWindow, window_grid
 from .stock import Stock
 
 
-class TakenPieces(eqx.Module):
+class RemovedPieces(eqx.Module):
     """Pieces that a removal takes from the rays of one family in a window.
 
     Attributes:
@@ -44,7 +44,7 @@ class TakenPieces(eqx.Module):
         cutter: AbstractCutter,
         window: RemovalWindow,
         tip: Float[Array, " 3"],
-    ) -> "tuple[TakenPieces, TakenPieces, TakenPieces]":
+    ) -> "tuple[RemovedPieces, RemovedPieces, RemovedPieces]":
         """Return what the tool would take from the stock, which stays as it is.
 
         Args:
@@ -61,7 +61,7 @@ class TakenPieces(eqx.Module):
         """
         grid = window_grid(stock, cutter, window, [Pose(tip).frozen()])
 
-        def of_family(family: Literal[0, 1, 2]) -> TakenPieces:
+        def of_family(family: Literal[0, 1, 2]) -> RemovedPieces:
             at, bs, cs = grid.of_family(family)
             ends = stock.families[family].ends
             size = (*bs.shape, *ends.shape[2:])
@@ -82,6 +82,6 @@ class TakenPieces(eqx.Module):
             least = jnp.min(jnp.where(is_piece, low, jnp.inf), axis=-1)
             most = jnp.max(jnp.where(is_piece, high, -jnp.inf), axis=-1)
             least, most = (jnp.where(is_taken, end, 0) for end in (least, most))
-            return TakenPieces(least, most, is_taken, bs[:, 0], cs[0])
+            return RemovedPieces(least, most, is_taken, bs[:, 0], cs[0])
 
         return of_family(0), of_family(1), of_family(2)

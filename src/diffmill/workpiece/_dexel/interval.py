@@ -12,7 +12,7 @@ from .stock import Rays
 SHORTEST = 1e-9
 
 
-class LeftPieces(NamedTuple):
+class RemainingPieces(NamedTuple):
     """What is left of rays.
 
     Attributes:
@@ -47,7 +47,7 @@ class CutInterval(NamedTuple):
         self,
         ends: Float[Array, "*ray 2 slot"],
         poses: Int[Array, "*ray 2 slot"],
-    ) -> LeftPieces:
+    ) -> RemainingPieces:
         """Remove what is cut from each ray.
 
         Args:
@@ -61,7 +61,7 @@ class CutInterval(NamedTuple):
         start, stop, is_cut, started, stopped = (x[..., None] for x in self)
 
         # Each branch computes what is met anew: it is cheaper than to hand it over.
-        def trim() -> LeftPieces:
+        def trim() -> RemainingPieces:
             is_met = is_cut & (high > low) & (start < high) & (stop > low)
             keeps_low = is_met & (low < start - SHORTEST)
             keeps_high = is_met & (high > stop + SHORTEST)
@@ -73,14 +73,14 @@ class CutInterval(NamedTuple):
             low_pose = jnp.where(is_met & ~keeps_low, stopped, poses[..., 0, :])
             high_pose = jnp.where(keeps_low, started, poses[..., 1, :])
             is_full = jnp.zeros(low.shape[:-1], bool)
-            return LeftPieces(
+            return RemainingPieces(
                 _two(new_low, new_high), _two(low_pose, high_pose), is_full
             )
 
         def is_split() -> Bool[Array, "*ray slot"]:
             return is_cut & (low < start - SHORTEST) & (high > stop + SHORTEST)
 
-        def split() -> LeftPieces:
+        def split() -> RemainingPieces:
             # The interval to remove lies inside at most one piece: one slot is enough.
             trimmed = trim()
             is_live, splits = high > low, is_split()
@@ -93,7 +93,7 @@ class CutInterval(NamedTuple):
             least = jnp.iinfo(poses.dtype).min
             rest_pose = jnp.where(splits, poses[..., 1, :], least)
             rest_pose = jnp.max(rest_pose, axis=-1, keepdims=True)
-            return LeftPieces(
+            return RemainingPieces(
                 jnp.where(takes, _two(stop, rest), trimmed.ends),
                 jnp.where(takes, _two(stopped, rest_pose), trimmed.cut_by),
                 needs[..., 0] & jnp.all(is_live, axis=-1),

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from ...numerics import materialise
-from .._pose import taken_rows
+from .._pose import gathered_rows
 
 
 def taken(table: Array, at: Int[Array, "*end"]) -> Array:
@@ -15,7 +15,7 @@ def taken(table: Array, at: Int[Array, "*end"]) -> Array:
 
     **Differentiability**: linear in the table.
     """
-    return taken_rows(table.reshape(-1), at)
+    return gathered_rows(table.reshape(-1), at)
 
 
 class NearestInterval(NamedTuple):
@@ -52,7 +52,7 @@ def nearest_interval(
     count = ends.shape[-1]
     ray = materialise(ray)
 
-    def look(m: Int[Array, ""], found: tuple[Array, ...]) -> tuple[Array, ...]:
+    def nearer(m: Int[Array, ""], found: tuple[Array, ...]) -> tuple[Array, ...]:
         best, low, high, slot = found
         start, stop = taken(ends, ray + m), taken(ends, ray + (m + count))
         inside = jnp.minimum(x - start, stop - x)
@@ -68,6 +68,6 @@ def nearest_interval(
     first = (jnp.minimum(x - low, high - x), low, high, jnp.zeros(ray.shape, jnp.int32))
     if count > 1:
         # Few of the slots hold anything, and each costs a gather.
-        first = jax.lax.fori_loop(jnp.ones((), jnp.int32), slots, look, first)
+        first = jax.lax.fori_loop(jnp.ones((), jnp.int32), slots, nearer, first)
     _, low, high, slot = first
     return NearestInterval(low, high, slot)

@@ -156,7 +156,7 @@ class Discs(eqx.Module):
         place, move, chip = _Place(*place), _Across(*move), _Across(*chip)
         columns = _find_columns(stock, place)
         if track is not None:
-            columns = _tie_columns(cutter, columns, track)
+            columns = _with_column_derivatives(cutter, columns, track)
         columns = _read_ends(columns)
         heights = _wall_heights(stock, place, self, columns)
         slots = stock.slots_in_use() if slots is None else slots
@@ -329,7 +329,7 @@ def _read_ends(rays: _Rays) -> _Rays:
     return eqx.tree_at(lambda r: r.ends, rays, Rematerialised.read(rays.ends))
 
 
-def _tie_columns(
+def _with_column_derivatives(
     cutter: AbstractCutter, columns: _Columns, track: PoseTrack
 ) -> _Columns:
     """Return the columns, each end with the derivative of the pose that cut it."""
@@ -473,7 +473,7 @@ def _largest_jvp(primals: Any, tangents: Any) -> tuple[Array, Array]:
 _largest.defjvp(_largest_jvp)
 
 
-class _BesideWalls(NamedTuple):
+class _WallShares(NamedTuple):
     """Chips beside walls.
 
     Attributes:
@@ -493,7 +493,7 @@ def _wall_occupancy(
     origin: Float[Array, " 3"],
     rim: _Rim,
     walls: tuple[_Walls, ...],
-) -> _BesideWalls:
+) -> _WallShares:
     reach = REACH * d
     place, heights = rim.place, rim.heights
     q = (heights - origin[2]) / d
@@ -553,7 +553,7 @@ def _wall_occupancy(
     filled = filled + _at_discs(rim.growth, len(heights)) * moment
     # A wall that both families see at 45 degrees is sure, its corner rounded off below.
     sure = 2 * (1 + _CONFIDENCE_ROUNDING) * wall_confidence
-    return _BesideWalls(touched, filled, sure - ramp(sure - 1, _CONFIDENCE_ROUNDING))
+    return _WallShares(touched, filled, sure - ramp(sure - 1, _CONFIDENCE_ROUNDING))
 
 
 def _column_weights(

@@ -385,7 +385,7 @@ class _Window(NamedTuple):
         )
 
 
-class _Taken(NamedTuple):
+class _CutVolumes(NamedTuple):
     """What passes took.
 
     Attributes:
@@ -416,12 +416,12 @@ class _Subtraction(NamedTuple):
 
     def __call__(
         self, windows: tuple[_Window, ...], due: _DuePass
-    ) -> tuple[tuple[_Window, ...], _Taken]:
+    ) -> tuple[tuple[_Window, ...], _CutVolumes]:
         """Return what is left, and what was taken."""
         subtract_from = _subtract_in_all if self.looks_at_all else _subtract_in_use
         none = jnp.zeros((), windows[0].ends.dtype)
 
-        def cut() -> tuple[tuple[_Window, ...], _Taken]:
+        def cut() -> tuple[tuple[_Window, ...], _CutVolumes]:
             left, lengths, full = [], [], []
             by_shank = none
             for f in (0, 1, 2):
@@ -433,10 +433,12 @@ class _Subtraction(NamedTuple):
                 full.append(found.is_full)
                 if f == 2 and self.has_shank:
                     by_shank = self._shank_length(windows[f], interval, due.tooth)
-            return tuple(left), _Taken(jnp.stack(lengths), by_shank, jnp.stack(full))
+            return tuple(left), _CutVolumes(
+                jnp.stack(lengths), by_shank, jnp.stack(full)
+            )
 
-        def skip() -> tuple[tuple[_Window, ...], _Taken]:
-            return windows, _Taken(jnp.stack([none] * 3), none, jnp.zeros(3, bool))
+        def skip() -> tuple[tuple[_Window, ...], _CutVolumes]:
+            return windows, _CutVolumes(jnp.stack([none] * 3), none, jnp.zeros(3, bool))
 
         return jax.lax.cond(due.is_due, cut, skip)
 
@@ -464,7 +466,7 @@ class _Subtraction(NamedTuple):
         return jnp.sum(jnp.where(is_hit[..., None], jnp.maximum(piece, 0), 0))
 
 
-class _LeftInWindow(NamedTuple):
+class _CutWindow(NamedTuple):
     """Rays of a family after a pass, what it took [m], and whether a ray was full."""
 
     window: _Window
@@ -472,7 +474,7 @@ class _LeftInWindow(NamedTuple):
     is_full: Bool[Array, ""]
 
 
-def _subtract_in_use(window: _Window, interval: CutInterval) -> _LeftInWindow:
+def _subtract_in_use(window: _Window, interval: CutInterval) -> _CutWindow:
     """Subtract an interval from each ray, in the slots in use and one more."""
     # A ray in a long run rarely holds more than two pieces, of many that it has room
     # for; the cost is that of the slots looked at.
@@ -484,14 +486,12 @@ def _subtract_in_use(window: _Window, interval: CutInterval) -> _LeftInWindow:
     return jax.lax.switch(jnp.argmax(jnp.stack(fits)), branches, window, interval)
 
 
-def _subtract_in_all(window: _Window, interval: CutInterval) -> _LeftInWindow:
+def _subtract_in_all(window: _Window, interval: CutInterval) -> _CutWindow:
     """Subtract an interval from each ray, in all slots: less to compile."""
     return _subtract_among(window.ends.shape[-1], window, interval)
 
 
-def _subtract_among(
-    width: int, window: _Window, interval: CutInterval
-) -> _LeftInWindow:
+def _subtract_among(width: int, window: _Window, interval: CutInterval) -> _CutWindow:
     """Subtract an interval from each ray, in the first slots."""
     old = window.ends[..., :width]
     pieces = interval.subtract_from(old, window.cut_by[..., :width])
@@ -502,7 +502,7 @@ def _subtract_among(
         jnp.maximum(window.in_use, Rays(pieces.ends, pieces.cut_by).slots_in_use()),
     )
     is_full = jnp.any(pieces.is_full)
-    return _LeftInWindow(left, _removed_length(old, pieces.ends), is_full)
+    return _CutWindow(left, _removed_length(old, pieces.ends), is_full)
 
 
 def _removed_length(

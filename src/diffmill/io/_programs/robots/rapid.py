@@ -252,12 +252,12 @@ def _declare(found: re.Match[str], line: int, reader: _Rapid) -> None:
     elif kind == "speeddata":
         reader.speeds[name] = 1e-3 * _numbers(value, 4, line, reader)[0]
     elif kind in ("tooldata", "wobjdata"):
-        _keep_data(kind, name, value, line, reader)
+        _store_data(kind, name, value, line, reader)
     elif kind in ("num", "dnum"):
         reader.numbers[name.upper()] = value_of(value, reader.numbers)
 
 
-def _keep_data(kind: str, name: str, value: str, line: int, reader: _Rapid) -> None:
+def _store_data(kind: str, name: str, value: str, line: int, reader: _Rapid) -> None:
     """Keep the data of a tool or a work object: who holds it, and where it is."""
     parts = value.replace("[", " ").replace("]", " ").upper().split(",")
     parts = [part.strip() for part in parts]
@@ -435,7 +435,7 @@ def _move(kind: str, rest: str, line: int, reader: _Rapid) -> None:
     frame = "wobj0" if named is None else named[1].lower()
     if named is not None:
         reader.work_object = frame
-    _check_held(arguments[-1], frame, line, reader)
+    _check_holders(arguments[-1], frame, line, reader)
     if reader.frame not in (None, frame):
         message = "several work objects are not supported; `work` is one of them."
         reader.refuse(line, frame, message)
@@ -457,7 +457,7 @@ def _move(kind: str, rest: str, line: int, reader: _Rapid) -> None:
     )
 
 
-def _check_held(tool: str, frame: str, line: int, reader: _Rapid) -> None:
+def _check_holders(tool: str, frame: str, line: int, reader: _Rapid) -> None:
     """Refuse a robot that holds the work, and note work that a unit could move."""
     name = tool.split("\\")[0].strip()
     data = reader.tool_data.get(name.lower(), _Data(True, None))

@@ -57,7 +57,7 @@ def write_krl(
         if move.duration is not None and goes:
             timed.append(move)
             if move.rest:
-                lines += [*_time_blocks(timed, is_spline, frame), _krl_rest(move.rest)]
+                lines += [*_time_blocks(timed, is_spline, frame), _krl_dwell(move.rest)]
                 timed = []
             continue
         lines += _time_blocks(timed, is_spline, frame)
@@ -73,11 +73,11 @@ def write_krl(
             lines.append(f"{word} {frame(move)}")
         rest = move.rest or (move.duration or 0.0)
         if rest:
-            lines.append(_krl_rest(rest))
+            lines.append(_krl_dwell(rest))
     return "\n".join([*lines, *_time_blocks(timed, is_spline, frame), "END"]) + "\n"
 
 
-def _krl_rest(seconds: float) -> str:
+def _krl_dwell(seconds: float) -> str:
     """Return a rest."""
     return f"WAIT SEC {seconds:.9g}"
 

@@ -182,7 +182,7 @@ def _set_modes(block: Block, state: State, faults: list[Fault]) -> None:
     """Apply the G codes of a block that move nothing themselves."""
     codes = block.g
     if codes.get("once") == 40:
-        _rest(block, state, faults)
+        _dwell(block, state, faults)
     if "plane" in codes:
         state.plane = {170: 2, 180: 1, 190: 0}[codes["plane"]]
         state.is_plane_known = True
@@ -229,7 +229,7 @@ def _note_codes(block: Block, codes: dict[str, int], letter: str, state: State) 
         state.out.note(f"{letter}{value:g}", sentence, block.line)
 
 
-def _rest(block: Block, state: State, faults: list[Fault]) -> None:
+def _dwell(block: Block, state: State, faults: list[Fault]) -> None:
     """Apply G4."""
     duration = block.number("P")
     word = block.texts["once"]

@@ -182,7 +182,7 @@ def state_rate(
     return ArmState(state.v, acceleration, state.omega, spin)
 
 
-def held_rate(
+def constant_command_rate(
     robot: Robot,
     terms: ArmTerms,
     state: ArmState,

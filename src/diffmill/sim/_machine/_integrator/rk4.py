@@ -46,14 +46,14 @@ class RungeKutta4(AbstractIntegrator):
             motors = MotorCommand(target, command.rate)
             return state_rate(robot, state, motors, load, self.dynamics)
 
-        def ahead(step: Float[Array, ""], rate: ArmState) -> ArmState:
+        def euler(step: Float[Array, ""], rate: ArmState) -> ArmState:
             return jax.tree.map(lambda x, dx: x + step * dx, state, rate)
 
         first = slope(state, -h / 2)
-        second = slope(ahead(h / 2, first), jnp.zeros_like(h))
-        third = slope(ahead(h / 2, second), jnp.zeros_like(h))
-        fourth = slope(ahead(h, third), h / 2)
+        second = slope(euler(h / 2, first), jnp.zeros_like(h))
+        third = slope(euler(h / 2, second), jnp.zeros_like(h))
+        fourth = slope(euler(h, third), h / 2)
         mean = jax.tree.map(
             lambda a, b, c, d: (a + 2 * b + 2 * c + d) / 6, first, second, third, fourth
         )
-        return ahead(h, mean)
+        return euler(h, mean)

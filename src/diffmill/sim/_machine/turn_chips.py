@@ -9,7 +9,7 @@ from ...process import Engagement, Process
 from ...workpiece import Pose
 
 
-class KeptChips(eqx.Module):
+class TurnChips(eqx.Module):
     """What the teeth met in some periods, sample by sample.
 
     Attributes:
@@ -26,9 +26,9 @@ class KeptChips(eqx.Module):
     weight: Float[Array, "*period substep angle kept element"]
 
 
-def kept_chips(
+def turn_chips(
     process: Process, cut: Engagement, middles: Pose, recent: Pose
-) -> KeptChips:
+) -> TurnChips:
     """Return what the teeth meet in a period whose poses are known.
 
     Args:
@@ -44,4 +44,4 @@ def kept_chips(
     )(cut.samples, middles, process.earlier(recent, middles))
     samples = cut.samples
     chip = jnp.clip(chip, 0, process.cutter.diameter / 2) * samples.chip_share
-    return KeptChips(samples.angle, samples.tooth, chip, samples.occupancy)
+    return TurnChips(samples.angle, samples.tooth, chip, samples.occupancy)
