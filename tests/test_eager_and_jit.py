@@ -528,8 +528,8 @@ CALLS: dict[str, Callable[[], Call]] = {
     "workpiece.Pose.repeated": lambda: Call(
         lambda _, x: wp.Pose(x).repeated(2, 2), None, (rows(3),)
     ),
-    "workpiece.Pose.taken": lambda: Call(
-        lambda at, x: wp.Pose(x).taken(at), jnp.asarray([2, 0]), (rows(3, 3),)
+    "workpiece.Pose.gather": lambda: Call(
+        lambda at, x: wp.Pose(x).gather(at), jnp.asarray([2, 0]), (rows(3, 3),)
     ),
     "workpiece.Pose.with_rows": lambda: Call(
         lambda first, x, y: wp.Pose(x).with_rows(first, wp.Pose(y)),

@@ -14,7 +14,7 @@ from ._types import FloatRows3
 _MOVING, _MOST_OF_THE_CUT = 0.1, 90
 
 
-def ways(tips: FloatRows3) -> Float[np.ndarray, " step"]:
+def step_lengths(tips: FloatRows3) -> Float[np.ndarray, " step"]:
     """Return the way of the tool in the period before each row [m]; 0 before the first.
 
     Args:

@@ -121,7 +121,7 @@ def run_job(
                 run.checkpoint.open(resume=resume, force=force)
         for note in (*job.notes, *filter(None, [uncached, unlocked])):
             progress.say(f"note: {note}")
-        with interruption_leaves(run.left):
+        with interruption_leaves(run.interruption_text):
             return run.finish(band, importing)
 
 
@@ -149,7 +149,7 @@ class _Run:
         self._is_written = False
         self._chatter: list[Stability] = []
 
-    def left(self) -> str:
+    def interruption_text(self) -> str:
         """Return what an interruption leaves, as a sentence."""
         resumes = ""
         if self.checkpoint is not None and self.checkpoint.file.exists():

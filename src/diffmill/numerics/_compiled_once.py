@@ -13,7 +13,7 @@ import jax.export
 from .._arrays import is_traced
 from ._program_store import (
     TracedProgram,
-    is_kept,
+    is_store_enabled,
     program_name,
     read_program,
     write_program,
@@ -142,7 +142,7 @@ class CachedJit(Generic[P, R]):
 
     def _program(self, arguments: object) -> "_StoredProgram | None":
         """Return the program for such arguments; None if none may be kept."""
-        if not (self._has_name and is_kept()) or _is_elsewhere(arguments):
+        if not (self._has_name and is_store_enabled()) or _is_elsewhere(arguments):
             return None
         try:
             text = tree_text(arguments)

@@ -28,7 +28,7 @@ _BEGAN = time.time()
 _HARMLESS = ("compilation_cache", "persistent_cache", "log_", "explain_", "traceback")
 
 
-def is_kept() -> bool:
+def is_store_enabled() -> bool:
     """Return whether programs are kept: where JAX keeps compiled ones."""
     debugs = jax.config.jax_debug_nans or jax.config.jax_disable_jit  # pyright: ignore[reportAttributeAccessIssue]
     return _folder() is not None and not debugs and _sources() is not None

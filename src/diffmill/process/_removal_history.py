@@ -309,7 +309,7 @@ class RemovalHistory(NamedTuple):
     def decimated_poses(self, state: ProcessState) -> Pose:
         """Return the newest poses in the queue at given distances behind the tool."""
         rows = self.decimated_rows(state)
-        return Rematerialised.read(state.track.poses.taken(rows * self.substeps))
+        return Rematerialised.read(state.track.poses.gather(rows * self.substeps))
 
     def decimated_rows(self, state: ProcessState) -> Int[Array, " circle"]:
         """Return the indices of the thinned poses, those at tooth instants."""

@@ -56,7 +56,7 @@ class Pose(eqx.Module):
         """Return some of the poses."""
         return jax.tree.map(lambda x: x[item], self)
 
-    def taken(self, at: Int[Array, "*some"]) -> "Pose":
+    def gather(self, at: Int[Array, "*some"]) -> "Pose":
         """Return some of the poses of a table, shape (*some, 3), unchecked.
 
         Args:

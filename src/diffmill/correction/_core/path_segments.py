@@ -11,7 +11,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ..._moving_rows import is_moving, ways
+from ..._moving_rows import is_moving, step_lengths
 from ..._types import BoolSteps, FloatRows3, FloatSteps
 
 # Turn of the feed within the length of a window that makes a corner [rad].
@@ -140,7 +140,7 @@ class PathParts(eqx.Module):
             return is_out
         size = np.linalg.norm(np.asarray(rigid_force, np.float64), axis=1)
         is_full = size >= _FULL * np.median(size[is_out])
-        moves = is_moving(ways(desired), np.asarray(self.index >= 0))
+        moves = is_moving(step_lengths(desired), np.asarray(self.index >= 0))
         return is_out & is_full & moves & ~np.any(np.asarray(force) != 0, axis=1)
 
 

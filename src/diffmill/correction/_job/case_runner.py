@@ -77,12 +77,12 @@ class CaseRecord:
         """Run a method, or take up what it found before an interruption."""
         self._run(name, method, problem, options, is_start=False)
 
-    def keep(self, prefix: str, arrays: Arrays) -> None:
+    def store(self, prefix: str, arrays: Arrays) -> None:
         """Tell what is needed to go on within a method."""
         if self._on_checkpoint is not None:
             self._on_checkpoint({**self.saved, **under(prefix, arrays)})
 
-    def kept(self, prefix: str) -> dict[str, np.ndarray]:
+    def stored(self, prefix: str) -> dict[str, np.ndarray]:
         """Return what was told so before an interruption, or nothing."""
         return below(prefix, self._resume)
 
@@ -98,7 +98,7 @@ class CaseRecord:
         start = time.perf_counter()
         runs, linearisations, seconds = self._prepared
         self._prepared = (0, 0, 0.0)
-        saved = self.kept(f"method/{name}")
+        saved = self.stored(f"method/{name}")
         kept = unpack_method(saved, problem, is_start=is_start)
         if kept is not None:
             self.methods[name] = kept

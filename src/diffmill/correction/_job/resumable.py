@@ -99,8 +99,8 @@ def with_segment_checkpoints(
     if isinstance(method, Adam):
         return functools.partial(
             method,
-            on_memory=lambda arrays: record.keep("adam", arrays),
-            resume=record.kept("adam") or None,
+            on_memory=lambda arrays: record.store("adam", arrays),
+            resume=record.stored("adam") or None,
         )
     if segments is None:
         return with_step_checkpoints(method, "gauss_newton", record)
@@ -109,8 +109,8 @@ def with_segment_checkpoints(
         method,
         horizon=segments.length,
         overlap=segments.overlap,
-        on_checkpoint=lambda arrays: record.keep("horizon", arrays),
-        resume=record.kept("horizon") or None,
+        on_checkpoint=lambda arrays: record.store("horizon", arrays),
+        resume=record.stored("horizon") or None,
     )
 
 
@@ -118,9 +118,9 @@ def with_step_checkpoints(
     method: GaussNewton, name: str, record: CaseRecord
 ) -> Callable[..., MethodResult]:
     """Return a method on a whole path that tells every step under a name."""
-    state = record.kept(name)
+    state = record.stored(name)
     return functools.partial(
         method,
-        on_state=lambda state: record.keep(name, pack_fit(state)),
+        on_state=lambda state: record.store(name, pack_fit(state)),
         resume=unpack_fit(state) if state else None,
     )

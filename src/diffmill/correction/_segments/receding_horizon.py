@@ -50,7 +50,7 @@ from .._surface.segment_limits import (
     BoundedRows,
     cut_points,
     deepest_rows,
-    is_kept,
+    keeps_bounds,
     window_bounds,
 )
 from .._surface.surface_limits import SurfaceBounds, refusal
@@ -357,7 +357,7 @@ class RecedingHorizon(AbstractMethod):
         )
         if (bounds := self.method.bounds) is not None:
             errors = np.asarray(bounds.errors(found.motion), np.float64)
-            if np.all(np.isfinite(errors)) and not is_kept(bounds, errors):
+            if np.all(np.isfinite(errors)) and not keeps_bounds(bounds, errors):
                 free, bound = (
                     run.coefficients[CLAMPED:-CLAMPED],
                     float(problem.max_offset),

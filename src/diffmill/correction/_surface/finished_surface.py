@@ -194,7 +194,7 @@ class FinishedSurface(eqx.Module):
             _evenly_chosen(np.flatnonzero(seen), _PAIRS // (2 * width))
             for seen in is_seen
         ]
-        walls, floors = walls.taken(kept[0]), floors.taken(kept[1])
+        walls, floors = walls.subset(kept[0]), floors.subset(kept[1])
         rows = np.stack(
             [
                 _filled(kind[i], width)
@@ -371,9 +371,9 @@ class _SurfacePoints(NamedTuple):
 
     def decimated(self) -> "_SurfacePoints":
         """Return so many of the points as a surface has of a kind."""
-        return self.taken(_evenly_chosen(np.arange(len(self.points)), _POINTS))
+        return self.subset(_evenly_chosen(np.arange(len(self.points)), _POINTS))
 
-    def taken(self, few: Int[np.ndarray, " few"]) -> "_SurfacePoints":
+    def subset(self, few: Int[np.ndarray, " few"]) -> "_SurfacePoints":
         """Return some of the points."""
         return _SurfacePoints(*(each[few] for each in self))
 

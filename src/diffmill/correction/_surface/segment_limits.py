@@ -119,7 +119,7 @@ def deepest_rows(
     return np.take_along_axis(poses, best, axis=1)[:, 0]
 
 
-def is_kept(bounds: SurfaceBounds, errors: Float[np.ndarray, " point"]) -> bool:
+def keeps_bounds(bounds: SurfaceBounds, errors: Float[np.ndarray, " point"]) -> bool:
     """Tell whether errors of the surface keep the bounds, but for rounding.
 
     **Differentiability**: none, a host function.

@@ -98,7 +98,9 @@ class ControllerStudy(NamedTuple):
         step = self._step()
         has_damping = self.order == "second"
 
-        def left(found: Float[np.ndarray, "row 3"]) -> Float[np.ndarray, " number"]:
+        def centred_difference(
+            found: Float[np.ndarray, "row 3"],
+        ) -> Float[np.ndarray, " number"]:
             off = (self.actual - found)[rows]
             return (off - off.mean(axis=0)[None]).reshape(-1)
 
@@ -106,7 +108,9 @@ class ControllerStudy(NamedTuple):
             found = np.asarray(_slopes(jnp.asarray(x), command, step))[rows]
             return -(found - found.mean(axis=0)[None]).reshape(-1, x.size)
 
-        residual = lambda x: left(np.asarray(_response(jnp.asarray(x), command, step)))
+        residual = lambda x: centred_difference(
+            np.asarray(_response(jnp.asarray(x), command, step))
+        )
         last = (np.log(0.7),) if has_damping else ()
         starts = [
             np.array([np.log(bandwidth), dead_time, *last])

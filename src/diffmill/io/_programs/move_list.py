@@ -108,7 +108,7 @@ class MoveList:
             message = f"the program makes more than {MOST_MOVES} moves."
             raise ProgramError(self.name, [*self.faults, Fault(line, "", message)])
 
-    def rest(self, duration: float, line: int, word: str = "") -> None:
+    def dwell(self, duration: float, line: int, word: str = "") -> None:
         """Let the tool stay where it is [s]; before any move there is no such place."""
         if not 0 <= duration <= LONGEST_DURATION and not math.isnan(duration):
             message = f"found a rest of {duration:g} s; allowed are 0 to "

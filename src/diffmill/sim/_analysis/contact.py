@@ -252,12 +252,12 @@ def _chunk(
         if test.holder is None:
             return ends, (jnp.stack([in_tool, nothing]), is_full)
 
-        def look() -> Array:
+        def holder_contact() -> Array:
             near = seen(ends, sample.holder)
             x, y = _places(origin, spacing, sample.holder)
             return holder_depth(near, x, y, pose, test)
 
-        in_holder = jax.lax.cond(sample.is_holder, look, lambda: nothing)
+        in_holder = jax.lax.cond(sample.is_holder, holder_contact, lambda: nothing)
         return ends, (jnp.stack([in_tool, in_holder]), is_full)
 
     ends, (depths, is_full) = jax.lax.scan(step, ends, samples)

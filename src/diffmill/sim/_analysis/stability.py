@@ -22,7 +22,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ..._job import Job
-from ..._moving_rows import is_moving, ways
+from ..._moving_rows import is_moving, step_lengths
 from ..._padding import padded_count
 from ..._types import Transform
 from ...process import FrozenStock, Process
@@ -221,7 +221,9 @@ class Stability(eqx.Module):
         motion = _Motion(motor_positions, joint_positions, path.tip[:step_count])
         found = _growth(arm, process, motion, chosen, slopes)
         if is_moving_cut is None:
-            is_moving_cut = is_moving(ways(motion.tips), np.ones(step_count, bool))
+            is_moving_cut = is_moving(
+                step_lengths(motion.tips), np.ones(step_count, bool)
+            )
         return _with_total(found, is_moving_cut)
 
     @staticmethod
@@ -317,7 +319,7 @@ def stability(
 
 def _moving_cut(solution: Solution) -> Bool[np.ndarray, " step"]:
     """Return where the tool cuts and the program does not nearly stand."""
-    return is_moving(ways(solution.desired), np.asarray(solution.is_cutting))
+    return is_moving(step_lengths(solution.desired), np.asarray(solution.is_cutting))
 
 
 def _with_total(
@@ -370,7 +372,7 @@ def _deep_rows(solution: Solution) -> Int[np.ndarray, " row"]:
         return rows[:0]
     window = np.ones(min(_LASTING, rows.size))
     lasting = lambda x: np.convolve(x, window, "same")
-    area = lasting(volume) / lasting(ways(solution.desired)[rows])
+    area = lasting(volume) / lasting(step_lengths(solution.desired)[rows])
     done = np.cumsum(volume)
     share = np.ceil(_QUICK_ROWS * done / done[-1]) - 1
     deepest = [rows[share == k][np.argmax(area[share == k])] for k in np.unique(share)]

@@ -214,7 +214,7 @@ def period_force(
     assert found.sample_jvp is not None
     samples, known = eqx.partition(found.samples, found.samples.follows_poses)
     circles = process.removal.decimated_rows(state)
-    decimated = as_rows(state.track.poses.taken(circles * process.engagement.substeps))
+    decimated = as_rows(state.track.poses.gather(circles * process.engagement.substeps))
     earlier = as_rows(process.earlier(state.recent, middles))
     return PeriodForce(
         samples, known, found.sample_jvp, as_rows(middles), earlier, decimated, circles

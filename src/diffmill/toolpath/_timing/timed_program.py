@@ -174,7 +174,7 @@ class TimedProgram(NamedTuple):
             return self
         course = JointCourse(q, names, speed, acceleration)
         # Rows of a slowed program are nearer to each other and show more.
-        if self.along and course.is_kept(path.duration / (path.step_count - 1)):
+        if self.along and course.keeps_bounds(path.duration / (path.step_count - 1)):
             return self
         fastest = max(leg.speed for leg in self.legs)
         most = WaySpeed(fastest, self.limits.acceleration)

@@ -59,7 +59,7 @@ class JointCourse(NamedTuple):
     speed: Float[np.ndarray, " joint"]
     acceleration: Float[np.ndarray, " joint"]
 
-    def is_kept(self, time_step: float) -> bool:
+    def keeps_bounds(self, time_step: float) -> bool:
         """Return whether rows that are so far apart [s] keep the limits."""
         rate = np.abs(np.diff(self.q, axis=0)) / time_step
         change = np.abs(np.diff(self.q, 2, axis=0)) / time_step**2

@@ -10,7 +10,7 @@ from ...numerics import materialise
 from .._pose import gathered_rows
 
 
-def taken(table: Array, at: Int[Array, "*end"]) -> Array:
+def gather(table: Array, at: Int[Array, "*end"]) -> Array:
     """Return some entries of a table by their place in memory, shape (...).
 
     **Differentiability**: linear in the table.
@@ -54,7 +54,7 @@ def nearest_interval(
 
     def nearer(m: Int[Array, ""], found: tuple[Array, ...]) -> tuple[Array, ...]:
         best, low, high, slot = found
-        start, stop = taken(ends, ray + m), taken(ends, ray + (m + count))
+        start, stop = gather(ends, ray + m), gather(ends, ray + (m + count))
         inside = jnp.minimum(x - start, stop - x)
         is_nearer = inside > best
         return (
@@ -64,7 +64,7 @@ def nearest_interval(
             jnp.where(is_nearer, m, slot),
         )
 
-    low, high = taken(ends, ray), taken(ends, ray + count)
+    low, high = gather(ends, ray), gather(ends, ray + count)
     first = (jnp.minimum(x - low, high - x), low, high, jnp.zeros(ray.shape, jnp.int32))
     if count > 1:
         # Few of the slots hold anything, and each costs a gather.

@@ -42,7 +42,7 @@ from ...numerics import (
     with_derivative_of,
 )
 from .mean_step import hat_moment, mean_step
-from .nearest_interval import nearest_interval, taken
+from .nearest_interval import gather, nearest_interval
 from .stock import Stock
 from .tooth_pass import PoseTrack
 
@@ -247,10 +247,10 @@ def _find_columns(stock: Stock, place: _Place) -> _Columns:
     slot = jnp.arange(2 * slots, dtype=jnp.int32).reshape(2, slots, 1, 1, 1)
     ray = materialise((i * counts[1] + j) * (2 * slots))
     at = materialise(ray[None, None] + slot)
-    poses = Rematerialised.read(taken(rays.poses, at))
+    poses = Rematerialised.read(gather(rays.poses, at))
     lines = jnp.stack([i, j])[:, None, None].astype(rays.ends.dtype)
     across = stock.origin[:2].reshape(2, *(1,) * 5) + stock.spacing * lines
-    return _Columns(taken(rays.ends, at), poses, at, across)
+    return _Columns(gather(rays.ends, at), poses, at, across)
 
 
 def _nearest_line(
@@ -315,10 +315,10 @@ def _find_walls(
     # As they were found: to read them anew is for derivatives.
     found = materialise(jnp.where(is_upper, high, low))
     return _Walls(
-        ends=with_derivative_of(found, taken, rays.ends, at),
+        ends=with_derivative_of(found, gather, rays.ends, at),
         is_upper=Rematerialised.read(is_upper),
         is_empty=Rematerialised.read(high < low),
-        pose=Rematerialised.read(taken(rays.poses, at)),
+        pose=Rematerialised.read(gather(rays.poses, at)),
         at=at,
         across=stock.origin[side] + stock.spacing * line.astype(heights.dtype),
     )

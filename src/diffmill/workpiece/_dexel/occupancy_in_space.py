@@ -33,7 +33,7 @@ from ...cutter import AbstractCutter
 from ...numerics import Rematerialised, clamp, with_derivative_of
 from .._pose import Pose
 from .mean_step import hat_moment, mean_step
-from .nearest_interval import nearest_interval, taken
+from .nearest_interval import gather, nearest_interval
 from .occupancy import REACH, ChipsInStock
 from .stock import Stock
 from .tooth_pass import PoseTrack
@@ -175,7 +175,7 @@ def _find(
     at = Rematerialised.read(ray + is_upper.astype(jnp.int32) * count + slot)
     # As they were found: to read them anew is for derivatives.
     found = jnp.where(is_upper, high, low)
-    ends = Rematerialised.read(with_derivative_of(found, taken, rays.ends, at))
+    ends = Rematerialised.read(with_derivative_of(found, gather, rays.ends, at))
     lines = [
         stock.origin[a] + d * index.astype(points.dtype)
         for a, index in zip(axes, (row, column), strict=True)
@@ -187,7 +187,7 @@ def _find(
         ends=ends,
         is_upper=Rematerialised.read(is_upper),
         is_empty=Rematerialised.read(high < low),
-        pose=Rematerialised.read(taken(rays.poses, at)),
+        pose=Rematerialised.read(gather(rays.poses, at)),
         at=at,
         places=jnp.stack(placed, axis=-1),
     )

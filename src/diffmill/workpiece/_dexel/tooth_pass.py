@@ -25,7 +25,7 @@ from ...cutter import AbstractCutter
 from ...numerics import Rematerialised, clamp, materialise
 from .._pose import Pose
 from .interval import CutInterval
-from .nearest_interval import taken
+from .nearest_interval import gather
 from .stock import Rays, Stock
 
 # An end tells which pose cut it, and that where the end is: so often in turn. What is
@@ -113,7 +113,7 @@ class PoseTrack(eqx.Module):
         slots = table.shape[-1]
         is_raw = (ticks < 0) & (ticks >= -slots)
         place = jnp.where(is_raw, at - at % slots - 1 - ticks, 0)
-        return jnp.where(is_raw, taken(table, place), 0)
+        return jnp.where(is_raw, gather(table, place), 0)
 
     def _between(
         self, nodes: Float[Array, "node some"], ticks: Int[Array, "*end"]
@@ -180,7 +180,7 @@ class ToothPass(eqx.Module):
             return self.nodes[0]
         low = jnp.clip(jax.lax.stop_gradient(node).astype(jnp.int32), 0, count - 2)
         share = (node - low.astype(node.dtype))[..., None]
-        left, right = self.nodes.taken(low), self.nodes.taken(low + 1)
+        left, right = self.nodes.gather(low), self.nodes.gather(low + 1)
         tip = left.tip + share * (right.tip - left.tip)
         if left.axis is None or right.axis is None:
             return Pose(tip)
@@ -316,7 +316,7 @@ def cut_interval(
         # Of another type than what it comes from: XLA's CPU compiler would else store
         # it in the same place, and then computes one by one.
         node = materialise(jnp.maximum(jnp.round(node).astype(jnp.int32), 0))
-        near = fine.nodes.taken(node)
+        near = fine.nodes.gather(node)
         start, stop, is_hit = _intersect_teeth(cutter, family, b, c, near, tooth)
         when = fine.ticks(node.astype(b.dtype))
         return CutInterval(start, stop, is_hit, when, when)

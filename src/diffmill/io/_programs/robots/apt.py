@@ -204,7 +204,7 @@ def _carry_out(statement: _Statement, reader: _Apt) -> None:
             return
         reader.out.change_tool(round(float(numbers[0])), line)
     elif word == "DELAY" and parts and _is_number(parts[0]):
-        reader.out.rest(float(parts[0]), line)
+        reader.out.dwell(float(parts[0]), line)
     elif word == "CYCLE":
         _cycle(row, parts, line, reader)
     elif word in _FRAMES:
@@ -432,7 +432,7 @@ def _drill(
         reader.line_to(at(clear - depth), axis, line, is_rapid=True)
     reader.line_to(at(-cycle["FEDTO"]), axis, line)
     if cycle.get("DWELL"):
-        reader.out.rest(cycle["DWELL"], line)
+        reader.out.dwell(cycle["DWELL"], line)
     reader.line_to(at(above), axis, line, is_rapid=True)
     reader.feed = feed
 

@@ -265,7 +265,7 @@ def _statement(row: str, line: int, reader: _Krl) -> None:
     elif found := _TIME.fullmatch(row):
         _time_block(found, line, reader)
     elif found := _WAIT.fullmatch(row):
-        reader.out.rest(float(found[1]), line, row)
+        reader.out.dwell(float(found[1]), line, row)
     elif found := _MOTION.fullmatch(row):
         _motion(found[1].upper(), found[3], line, reader, is_relative=bool(found[2]))
     elif (found := _SCALAR.fullmatch(row)) and _set_scalar(found, line, reader):

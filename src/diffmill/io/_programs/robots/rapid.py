@@ -220,7 +220,7 @@ def _statement(row: str, line: int, reader: _Rapid) -> None:
     elif (found := _ASSIGNED.fullmatch(row)) and found[1].lower() in reader.targets:
         reader.targets[found[1].lower()] = _pose(found[2], line, reader)
     elif found := _WAIT.fullmatch(row):
-        reader.out.rest(float(found[1]), line, row)
+        reader.out.dwell(float(found[1]), line, row)
     elif found := _OVERRIDE.fullmatch(row):
         _set_override(found[1], row, line, reader)
     elif found := _QUIET.fullmatch(row):

@@ -157,4 +157,4 @@ def _plunge(state: State, cycle: Cycle, place: list[float], line: int, go: Go) -
             level -= cycle.peck
     go(_at(place, bottom, depth), False)
     if state.motion in _WITH_REST:
-        state.out.rest(cycle.rest, line)
+        state.out.dwell(cycle.rest, line)

@@ -237,7 +237,7 @@ def _dwell(block: Block, state: State, faults: list[Fault]) -> None:
         message = "a rest needs a P, its seconds."
         faults.append(Fault(block.line, word, message))
         return
-    state.out.rest(duration, block.line, word)
+    state.out.dwell(duration, block.line, word)
 
 
 def _set_tool(block: Block, state: State, faults: list[Fault]) -> None:
