@@ -58,7 +58,13 @@ def test_what_a_job_leaves_out_is_what_scripts_leave_out(job_file):
     assert dataclasses.replace(job.correction, uncertainty=None) == plain
     # These follow from path, machine and cutter.
     own = job.simulation
-    sizes = ("angles", "substeps", "element_height", "axial_depth", "looks")
+    sizes = (
+        "angles",
+        "substeps",
+        "element_height",
+        "axial_depth",
+        "updates_per_period",
+    )
     of_job = {name: getattr(own, name) for name in (*sizes, "plunges", "has_bottom")}
     assert own == SimulationSettings(**of_job)
     assert job.output == type(job.output)()
