@@ -46,8 +46,6 @@ if TYPE_CHECKING:
 
 # Called between the parts of a run with a message and the share done.
 OnProgress = Callable[[str, float], None]
-# Any directions of the tool: which ones is known to the sizes alone.
-_ANY_AXIS = ((0.0, 0.0, 1.0),)
 
 
 class Solution(eqx.Module):
@@ -142,8 +140,8 @@ class Solution(eqx.Module):
         is_reached = on_device(np.ones(steps, bool))
         if motors is not None:
             motors = on_device(pad_rows(motors, steps))
-        elif program.machine is not None:
-            motors, is_reached = JobKinematics(program.kinematics).motors(tips)
+        elif program.kinematics is not None:
+            motors, is_reached = program.kinematics.motors(tips)
         ran = _follow(program, rigid.stock, _Command(tips, motors, is_reached))
         end = _remove_pending(program.process, ran.ending)
         if steps != count:
@@ -446,7 +444,7 @@ class JobModel(eqx.Module):
         controller: What its motors do of their command; None if they follow it.
         path: The path.
         axes: Tool axes, shape (step, 3); None if it stands upright.
-        kinematics: The job, of which only what inverse kinematics needs is left.
+        kinematics: From commanded tips to its motors; None for a rigid machine.
     """
 
     process: Process
@@ -454,7 +452,7 @@ class JobModel(eqx.Module):
     controller: Controller | None
     path: Path
     axes: Float[Array, "step 3"] | None
-    kinematics: Job
+    kinematics: JobKinematics | None
 
     @classmethod
     def of(cls, job: Job, derivative: AbstractAdjoint) -> "JobModel":
@@ -464,20 +462,6 @@ class JobModel(eqx.Module):
             job: The job, in its precision.
             derivative: How to differentiate through the removal.
         """
-        job = job.without_texts()
-        # Of the settings only choices are left, and of the axes whether there are any.
-        settings = dataclasses.replace(
-            job.simulation,
-            element_height=0.0,
-            axial_depth=0.0,
-            axes=_ANY_AXIS if job.simulation.axes else (),
-        )
-        rest = eqx.tree_at(
-            lambda j: (j.cutter, j.law, j.bottom_law, j.stock, j.spindle_speed),
-            dataclasses.replace(job, simulation=settings, controller=None),
-            (None,) * 5,
-            is_leaf=lambda x: x is None,
-        )
         process = job_process(job, derivative)
         free = process.cutter.with_sizes_as_leaves()
         process = eqx.tree_at(lambda p: p.cutter, process, free)
@@ -487,7 +471,7 @@ class JobModel(eqx.Module):
             job.controller,
             job.path,
             job.tool_axes,
-            rest,
+            None if job.is_rigid else JobKinematics(job),
         )
 
     def run(self, motors: Float[Array, "step joint"]) -> Run:

@@ -4,7 +4,7 @@ Inverse kinematics takes long to compile. On the host it runs by programs of its
 few lengths, which all that need joints or motors share.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -16,10 +16,12 @@ from jaxtyping import Array, Bool, Float, Int
 from ..._arrays import first_rows, is_traced, on_device
 from ..._job import Job
 from ..._padding import live_rows, map_rows, pad_rows, padded_count
+from ..._types import FloatRows3, Transform
 from ...numerics import CachedJit
 from ...robot import (
     JointSolution,
     Robot,
+    ToolRotation,
     inverse_kinematics,
     inverse_kinematics_path,
     motor_positions,
@@ -40,50 +42,77 @@ class JointRows(NamedTuple):
 
 
 class JobKinematics(eqx.Module):
-    """What the machine of a job does to follow the tips that a program commands.
+    """Kinematics of the machine of a job, from commanded tips to its motors.
 
     A machine of modes has no joints: its drives are where the tip is.
 
     Attributes:
-        job: The job, in its precision; its machine must not be rigid.
+        arm: The robot; None for a machine of modes.
+        T_base_work: Pose of the workpiece frame in the robot's base, shape (4, 4).
+        joint_start: Joints near which inverse kinematics begins, shape (joint,); None
+            for the robot's home.
+        tool_axes: Tool axes of the path, shape (step, 3); None if it stands upright.
+        tool_x: Unit x of the tool, shape (step, 3); None if the path leaves it open.
+        tool_rotation: Rotation about the tool axis, as of the job.
+        is_gravity_compensated: Whether the controller takes the sag away.
     """
 
-    job: Job
+    arm: Robot | None
+    T_base_work: Transform
+    joint_start: Float[Array, " joint"] | Float[np.ndarray, " joint"] | None
+    tool_axes: Float[Array, "step 3"] | None
+    tool_x: FloatRows3 | None
+    tool_rotation: ToolRotation = eqx.field(static=True)
+    is_gravity_compensated: bool = eqx.field(static=True)
+
+    def __init__(self, job: Job):
+        """Take what the kinematics needs of a job in its precision.
+
+        Raises:
+            ValueError: The machine is rigid.
+        """
+        if job.is_rigid:
+            raise ValueError(
+                "Argument `job` must have a robot, but its machine is rigid."
+            )
+        self.arm = job.robot
+        self.T_base_work = job.T_base_work
+        self.joint_start = job.joint_start
+        self.tool_axes = job.tool_axes
+        self.tool_x = job.path.tool_x
+        self.tool_rotation = job.tool_rotation
+        self.is_gravity_compensated = job.simulation.is_gravity_compensated
 
     @property
     def robot(self) -> Robot:
         """The robot.
 
         Raises:
-            ValueError: The job has none.
+            ValueError: The machine is given by its modes.
         """
-        if self.job.robot is None:
-            raise ValueError(
-                "Argument `job` must have a robot, but its machine is rigid."
-            )
-        return self.job.robot
+        if self.arm is None:
+            raise ValueError("Argument `job` must have a robot, but has modes.")
+        return self.arm
 
     def solve(self, commanded: Float[Array, "step 3"]) -> JointSolution:
         """Return what inverse kinematics finds for tip positions, as `joints`."""
         robot = self.robot
-        axes, tool_x = self.job.tool_axes, self.job.path.tool_x
+        axes, tool_x = self.tool_axes, self.tool_x
         start = (
-            robot.home
-            if self.job.joint_start is None
-            else jnp.asarray(self.job.joint_start)
+            robot.home if self.joint_start is None else jnp.asarray(self.joint_start)
         )
         count, rows = commanded.shape[0], commanded.shape[0]
-        if not is_traced((self.job, commanded)):
+        if not is_traced((self, commanded)):
             rows = padded_count(count)
             commanded = on_device(pad_rows(commanded, rows))
             axes = None if axes is None else on_device(pad_rows(axes, rows))
             tool_x = None if tool_x is None else on_device(pad_rows(tool_x, rows))
-        Ts = _poses(jnp.asarray(self.job.T_base_work), commanded, axes, tool_x)
+        Ts = _poses(jnp.asarray(self.T_base_work), commanded, axes, tool_x)
         return inverse_kinematics_path(
             robot,
             first_rows(Ts, count),
             start,
-            tool_rotation=self.job.tool_rotation,
+            tool_rotation=self.tool_rotation,
         )
 
     def joints(self, commanded: Float[Array, "step 3"]) -> "JointRows":
@@ -98,15 +127,15 @@ class JobKinematics(eqx.Module):
 
         **Differentiability**: that of `inverse_kinematics_path`.
         """
-        if self.job.modes is not None:
+        if self.arm is None:
             return JointRows(commanded, on_device(np.ones(commanded.shape[0], bool)))
         found = self.solve(commanded)
         return JointRows(found.q, found.converged)
 
     def poses(self, commanded: Float[Array, "step 3"]) -> Float[Array, "step 4 4"]:
         """Return the poses of the tool in the base for tip positions in `work`."""
-        T, path = jnp.asarray(self.job.T_base_work), self.job.path
-        return _poses(T, commanded, self.job.tool_axes, path.tool_x)
+        T = jnp.asarray(self.T_base_work)
+        return _poses(T, commanded, self.tool_axes, self.tool_x)
 
     def motors(self, commanded: Float[Array, "step 3"]) -> "JointRows":
         """Return the motor positions of tip positions, and which of them are reached.
@@ -132,21 +161,20 @@ class JobKinematics(eqx.Module):
 
         **Differentiability**: that of `motor_positions`.
         """
-        if self.job.modes is not None:
+        if self.arm is None:
             return self.tool_command(joints)
         count, rows = joints.shape[0], joints.shape[0]
-        if not is_traced((self.job, joints)):
+        if not is_traced((self, joints)):
             rows = padded_count(count)
             joints = on_device(pad_rows(joints, rows))
-        is_compensated = self.job.simulation.is_gravity_compensated
-        motors = _motors(self.robot, joints, is_compensated)
+        motors = _motors(self.robot, joints, self.is_gravity_compensated)
         return first_rows(motors, count)
 
     def tool_command(
         self, commanded: Float[Array, "step 3"]
     ) -> Float[Array, "step axis"]:
         """Return the command of a machine of modes: tips, and axes of a tilted tool."""
-        axes = self.job.tool_axes
+        axes = self.tool_axes
         if axes is None:
             return commanded
         return jnp.concatenate([commanded, axes.astype(commanded.dtype)], axis=1)
@@ -169,19 +197,24 @@ class JobKinematics(eqx.Module):
         **Differentiability**: none is meant.
         """
         count, rows = joints.shape[0], joints.shape[0]
-        if self.job.modes is not None:
-            axes = 3 if self.job.tool_axes is None else 6
+        if self.arm is None:
+            axes = 3 if self.tool_axes is None else 6
             one = np.eye(axes, 3, dtype=joints.dtype)
             return on_device(np.broadcast_to(one[None], (count, axes, 3)))
         Ts = row_count = None
         if commanded is not None:
             Ts = self.poses(commanded)
-        if not is_traced((self.job, joints, commanded)):
+        if not is_traced((self, joints, commanded)):
             rows = padded_count(count)
             joints = on_device(pad_rows(joints, rows))
             Ts = None if Ts is None else on_device(pad_rows(Ts, rows))
             row_count = on_device(np.asarray(count, np.int32))
-        found = _slopes(_Slopes(self.job, self.robot), joints, Ts, row_count)
+        # Without rows of the path, for whose every length it would be compiled.
+        rows_of_path = lambda known: (known.tool_axes, known.tool_x)
+        known = eqx.tree_at(
+            rows_of_path, self, (None, None), is_leaf=lambda x: x is None
+        )
+        found = _slopes(known, joints, Ts, row_count)
         return first_rows(found, count)
 
 
@@ -216,29 +249,15 @@ def _motors(
     )(joints)
 
 
-class _Slopes(eqx.Module):
-    """What the slopes of motors need of a job."""
-
-    robot: Robot
-    R_base_work: Float[Array, "3 3"]
-    tool_rotation: Any = eqx.field(static=True)
-    is_compensated: bool = eqx.field(static=True)
-
-    def __init__(self, job: Job, robot: Robot):
-        self.robot = robot
-        self.R_base_work = jnp.asarray(job.T_base_work)[:3, :3]
-        self.tool_rotation = job.tool_rotation
-        self.is_compensated = job.simulation.is_gravity_compensated
-
-
 @CachedJit
 def _slopes(
-    known: _Slopes,
+    known: JobKinematics,
     joints: Float[Array, "step joint"],
     Ts: Float[Array, "step 4 4"] | None,
     row_count: Int[Array, ""] | None,
 ) -> Float[Array, "step joint axis"]:
-    robot, is_compensated = known.robot, known.is_compensated
+    robot, is_compensated = known.robot, known.is_gravity_compensated
+    R_base_work = jnp.asarray(known.T_base_work)[:3, :3]
 
     def by_joints(q: Float[Array, " joint"]) -> Float[Array, "joint joint"]:
         motors = lambda q: motor_positions(
@@ -258,7 +277,7 @@ def _slopes(
                 attempts=0,
             ).q
         )
-        return jax.jacfwd(near)(T[:3, 3]) @ known.R_base_work
+        return jax.jacfwd(near)(T[:3, 3]) @ R_base_work
 
     def of_row(
         q: Float[Array, " joint"], T: Float[Array, "4 4"] | None
