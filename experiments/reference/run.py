@@ -19,7 +19,7 @@ import numpy as np
 
 jax.config.update("jax_enable_x64", True)
 HERE = pathlib.Path(__file__).parent
-sys.path.append(str(HERE.parent / "common"))
+sys.path += [str(HERE.parent / "common"), str(HERE.parents[1] / "tests")]
 
 import diffmill as dm  # noqa: E402
 from jobs import NAMES, reference_job  # noqa: E402

@@ -153,10 +153,14 @@ class ResultsFolder(NamedTuple):
         """The file beside the folder that keeps what an unfinished run has found."""
         return sibling(self.path, _CHECKPOINT)
 
+    def checkpoints(self) -> list[pathlib.Path]:
+        """Return the checkpoint and the one before it, those that are there."""
+        names = (self.checkpoint, previous_of(self.checkpoint))
+        return [file for file in names if file.exists()]
+
     def has_unfinished_run(self) -> bool:
         """Return whether the results are of a run that has not finished its figures."""
-        kept = (self.checkpoint, previous_of(self.checkpoint))
-        return any(file.exists() for file in kept) and bool(self._manifest())
+        return bool(self.checkpoints() and self._manifest())
 
     def write(self, fill: Fill, *, force: bool = False) -> None:
         """Write a folder of files, all of them or nothing.

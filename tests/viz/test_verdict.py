@@ -1,6 +1,7 @@
 """What the report says of a tolerance, and of what limited the result."""
 
 import dataclasses
+import math
 
 import numpy as np
 import pytest
@@ -257,11 +258,19 @@ def test_a_shank_in_the_stock_is_not_within_a_tolerance(correction):
     assert summary(without, "verdict").startswith("The shank is in the stock")
 
 
-def test_the_verdict_says_what_is_left_beside_the_model(correction):
-    off = dict(stiffness_off_rms=9.5e-6, force_off_rms=4.9e-6, tolerance_band=1e-3)
+def test_the_verdict_says_what_is_left_beside_the_model(tmp_path, correction):
+    off = dict(
+        mismatch_share=0.1,
+        mismatch_rms_stiffness=9.5e-6,
+        mismatch_rms_force=math.nan,
+        tolerance_band=1e-3,
+        stability_has_chatter=0,
+    )
     text = summary(correction.assign_attrs(off), "verdict")
-    assert "stiffness 10 % off the command leaves up to 9.5 um rms" in text
-    assert "force coefficients 10 % off up to 4.9;" in text
+    assert "stiffness 10% off the command leaves up to 9.5 um rms, with" in text
+    assert "force coefficients 10% off no result;" in text
+    settings = report(tmp_path, correction.assign_attrs(off)).lower()
+    assert "mismatch" not in settings and "stability has chatter" not in settings
 
 
 def test_a_robust_command_is_judged_over_its_draws(correction):

@@ -190,16 +190,18 @@ def _with_mismatch(run: FinishedRun, progress: Progress) -> Dataset:
 
     if "corrected_case" not in run.dataset.attrs:
         return run.dataset
-    progress.say("other machines: the command where the model is 10 % off")
+    progress.say("other machines: the command where the model is off")
     found = mismatch(run.job, run.final)
+    left = lambda rms: f"{1e6 * rms:.3g} um rms" if np.isfinite(rms) else "no result"
     lines = [
-        f"with 10 % less or more {x.kind} than in the model the command leaves "
-        f"{1e6 * x.less:.3g} or {1e6 * x.more:.3g} um rms"
+        f"with {x.share:.0%} less or more {x.kind} than in the model the command "
+        f"leaves {left(x.less)} or {left(x.more)}"
         for x in found
     ]
-    told = {f"{x.kind}_off_rms": x.worse for x in found}
-    said = _said(lines, progress)
-    return _with_notes(run.dataset.assign_attrs(told), said)
+    attributes = {f"mismatch_rms_{x.kind}": x.worse for x in found}
+    attributes["mismatch_share"] = found[0].share
+    lines = _said(lines, progress)
+    return _with_notes(run.dataset.assign_attrs(attributes), lines)
 
 
 def _with_expected_error(run: FinishedRun, progress: Progress) -> Dataset:

@@ -298,8 +298,8 @@ def _can_be_written(job: "Job") -> bool:
 
 def _earlier_files(results: ResultsFolder) -> str:
     """Return what an interruption leaves before anything is computed."""
-    parts = (results.path, results.checkpoint)
-    earlier = " and ".join(str(path) for path in parts if path.exists())
+    folder = [results.path] if results.path.exists() else []
+    earlier = " and ".join(map(str, [*folder, *results.checkpoints()]))
     kept = f"; what an earlier run left is as it was: {earlier}" if earlier else ""
     return f"no results were written{kept}"
 

@@ -62,10 +62,8 @@ def written_errors(
     """
     from ...io import OffsetStream
 
-    job, own = (
-        job.with_precision(),
-        _written_error(final, np.asarray(final.is_cutting)).rms,
-    )
+    job = job.with_precision()
+    own = _written_error(final, np.asarray(final.is_cutting)).rms
     found, said = {}, []
     for suffix in job.output.formats:
         name = f"corrected{suffix}"

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..._job import Job, parameter_uncertainty
+from ..._result import RESULTS
 from ...process import FrozenStock
 from .._job.simulate import Solution
 
@@ -16,18 +17,20 @@ class Mismatch(NamedTuple):
     Attributes:
         kind: "stiffness" of all joints or modes, or "force" for the coefficients of
             the law.
+        share: How far they are off.
         less: Root mean square contour error where the tool cuts, with all of them less
-            by the share [m]; not a number if that run fails.
+            by the share [m]; NaN if that run fails.
         more: With all of them more by the share.
     """
 
     kind: str
+    share: float
     less: float
     more: float
 
     @property
     def worse(self) -> float:
-        """Return the larger error [m]."""
+        """The larger error [m]; NaN if one of the runs fails."""
         return float(np.maximum(self.less, self.more))
 
 
@@ -66,10 +69,12 @@ def mismatch(job: Job, solution: Solution, share: float = 0.1) -> tuple[Mismatch
         run = Solution.of_command(
             other, solution.rigid, solution.commanded, FrozenStock()
         )
+        if bool(run.result != RESULTS.successful):
+            return np.nan
         error = np.asarray(run.contour_error)[cuts]
         return float(np.sqrt(np.mean(error**2))) if error.size else 0.0
 
     return tuple(
-        Mismatch(kind, rms_error(kind, 1 - share), rms_error(kind, 1 + share))
+        Mismatch(kind, share, rms_error(kind, 1 - share), rms_error(kind, 1 + share))
         for kind in ("stiffness", "force")
     )

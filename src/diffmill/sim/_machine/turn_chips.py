@@ -1,4 +1,4 @@
-"""What the teeth meet in a tooth period, kept for a figure of single chips."""
+"""Chips of the teeth in a tooth period, for a figure of single chips."""
 
 import equinox as eqx
 import jax
@@ -10,7 +10,7 @@ from ...workpiece import Pose
 
 
 class TurnChips(eqx.Module):
-    """What the teeth met in some periods, sample by sample.
+    """Chips of the teeth in some periods, sample by sample.
 
     Attributes:
         angle: Of the samples [rad], shape (*period, substep, angle, kept, disc).
@@ -29,7 +29,7 @@ class TurnChips(eqx.Module):
 def turn_chips(
     process: Process, cut: Engagement, middles: Pose, recent: Pose
 ) -> TurnChips:
-    """Return what the teeth meet in a period whose poses are known.
+    """Chips of the teeth in a period whose poses are known.
 
     Args:
         process: The process.

@@ -12,7 +12,9 @@ What it reads of a result besides the variables of `simulate` and `correct`:
   `stream_` for those files; `is_successful` (0 marks a run that failed);
   `tolerance_band` [m], the contour error to hold the result against;
   `stability_has_chatter` (1 where vibrations grow), and of those that grow most
-  `stability_largest_radius`, `stability_frequency` [Hz];
+  `stability_largest_radius`, `stability_frequency` [Hz]; `mismatch_rms_stiffness` and
+  `mismatch_rms_force` [m], what the command leaves where these are off by
+  `mismatch_share`;
 - every other attribute is listed as a setting.
 """
 
@@ -76,7 +78,9 @@ _SPECIAL = (
     "incomplete_time",
     "incomplete_place",
 )
-_PREFIXES = tuple(f"{kind}_" for kind in ("written", "moved", "stream"))
+_PREFIXES = tuple(
+    f"{kind}_" for kind in ("written", "moved", "stream", "stability", "mismatch")
+)
 
 
 def write_report(

@@ -240,14 +240,18 @@ def _over_draws(dataset: "xarray.Dataset", case: str) -> str:
 
 
 def _mismatch_text(dataset: "xarray.Dataset") -> str:
-    """Return what the command leaves where stiffness or forces are 10 % off."""
-    names = ("stiffness_off_rms", "force_off_rms")
+    """Return what the command leaves where stiffness or forces are off."""
+    names = ("mismatch_share", "mismatch_rms_stiffness", "mismatch_rms_force")
     if any(name not in dataset.attrs for name in names):
         return ""
-    stiffness, force = (1e6 * float(dataset.attrs[name]) for name in names)
+    share, *errors = (float(dataset.attrs[name]) for name in names)
+    stiffness, force = (
+        f"up to {1e6 * rms:.3g} {MICROMETRE} rms" if np.isfinite(rms) else "no result"
+        for rms in errors
+    )
     return (
-        f", where with all stiffness 10 % off the command leaves up to {stiffness:.3g} "
-        f"{MICROMETRE} rms, with all force coefficients 10 % off up to {force:.3g}"
+        f": with all stiffness {share:.0%} off the command leaves {stiffness}, with "
+        f"all force coefficients {share:.0%} off {force}"
     )
 
 
