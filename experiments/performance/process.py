@@ -92,7 +92,7 @@ def cut(process, path, part):
 
     def step(state, row):
         index, start, middle, end = row
-        state, removed = engagement.advance(process, state, index - 1, start)
+        state, removed = process.remove(state, index - 1, start)
         shares = jnp.zeros(2)
         if part == "look-up":
             found = engagement.engage(process, state, index, middle).samples

@@ -124,23 +124,24 @@ def test_a_vibrating_tool_is_pushed_as_its_poses_say(pitch):
     path = np.stack([2e-3 + 2e-4 * np.arange(count + 1), np.full(count + 1, 2e-3)], 1)
     state = machine.begin_run(process, jnp.asarray(path))
     rows = machine.rows(process, jnp.asarray(path), None)
-    follow = jax.jit(lambda *given: machine.follow(process, *given))
+    period = jax.jit(lambda *given: machine.period(process, *given))
 
-    def period(state, k):
-        index = jnp.asarray(k + 1, jnp.int32)
-        return follow(state, index, jax.tree.map(lambda x: x[k], rows))
+    def run(state, k):
+        command = jax.tree.map(lambda x: x[k], rows)
+        return period(state, sim.PeriodRow(jnp.asarray(k + 1, jnp.int32), command))
 
     for k in range(count - 1):
-        state = period(state, k)[0]
-    recent, (_, _, steps) = state.process.recent, period(state, count - 1)
+        state = run(state, k)[0]
+    recent, (_, period) = state.process.recent, run(state, count - 1)
+    steps = period.substeps
     middles = wp.Pose(steps.tips)
 
     def loads(now):
         wrench = jax.vmap(
             lambda samples, pose, earlier: process.engagement.wrench(
-                process, samples, pose, earlier, steps.found.decimated
+                process, samples, pose, earlier, steps.engagement.decimated
             )
-        )(steps.found.samples, middles, process.earlier(recent, now))
+        )(steps.engagement.samples, middles, process.earlier(recent, now))
         return np.mean(wrench, axis=1)[:, :3]
 
     wanted = loads(middles)

@@ -47,7 +47,7 @@ def pushed(modes, force, tips=None, substeps=8, periods=40):
 
     def period(state, x):
         start, row = x
-        span = machine.span(known, state, row)
+        span = machine.dynamics(known, state, row)
 
         def substep(state, time):
             end = span.step(state, time, force(start + time))

@@ -2,16 +2,14 @@
 
 import abc
 import math
-from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
-from .._padding import if_valid
 from .._types import IntScalar, RealScalarLike
 from ..cutter import AbstractCutter
 from ..cutting import AbstractForceLaw
@@ -63,7 +61,7 @@ class AbstractEngagement(eqx.Module):
     samples_whole_period: eqx.AbstractVar[bool]
 
     @abc.abstractmethod
-    def advance(
+    def remove(
         self, process: "Process", state: ProcessState, index: Int[Array, ""], pose: Pose
     ) -> tuple[ProcessState, RemovedVolume]:
         """Take in the pose at the end of a period, and remove what is due.
@@ -254,38 +252,20 @@ class Process(eqx.Module):
         """
         return self.removal.begin(self.stock, pose, pose_count)
 
-    def advance(
-        self,
-        state: ProcessState,
-        index: Int[Array, ""],
-        pose: Pose,
-        predicted: Pose,
-        is_live: Bool[Array, ""] | None = None,
-        look: Callable[..., Engagement] | None = None,
-    ) -> tuple[ProcessState, Engagement, RemovedVolume]:
-        """Take in the pose at the start of a period, remove, and look for material.
+    def remove(
+        self, state: ProcessState, index: Int[Array, ""], pose: Pose
+    ) -> tuple[ProcessState, RemovedVolume]:
+        """Take in a pose, and remove what is due, as the engagement says.
 
         Args:
-            state: State after the period before.
-            index: Index k of the period, which runs from pose k - 1 to pose k, shape
-                ().
-            pose: Pose k - 1 at the start, shape (3,).
-            predicted: Poses expected in the middle of the sub-steps, shape (substep,
-                3).
-            is_live: Whether the period counts, shape (); behind the last row of a
-                padded path nothing is looked up. None for a path that is not padded.
-            look: Looks for material in every period, with the process and the arguments
-                of `AbstractEngagement.engage`; None for the engagement's own.
+            state: State after the period that ends at the pose.
+            index: Index k of the pose, shape ().
+            pose: Pose k, shape (3,).
 
         Returns:
-            The new state, the engagement of this period, and what was removed.
+            The state, and what was removed.
         """
-        engagement = self.engagement
-        state, removed = engagement.advance(self, state, index - 1, pose)
-        if look is not None:
-            return state, look(self, state, index, predicted), removed
-        engage = lambda: self.engage(state, index, predicted)
-        return state, if_valid(is_live, engage), removed
+        return self.engagement.remove(self, state, index, pose)
 
     def engage(
         self,

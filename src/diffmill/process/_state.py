@@ -78,6 +78,11 @@ class ProcessState(eqx.Module):
     has_overflow: Bool[Array, ""]
     has_left_window: Bool[Array, ""]
 
+    @property
+    def has_failed(self) -> Bool[Array, ""]:
+        """Whether a flag is up, shape ()."""
+        return self.has_overflow | self.has_left_window
+
     def ended(self, middles: Pose, ends: Pose) -> "ProcessState":
         """Return the state that keeps the poses of the period just run.
 

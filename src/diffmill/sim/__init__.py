@@ -58,6 +58,7 @@ from ._machine.elastic import ElasticArm as ElasticArm
 from ._machine.free_vibration import free_motion as free_motion
 from ._machine.machine import (
     AbstractMachine as AbstractMachine,
+    PeriodRow as PeriodRow,
     Run as Run,
     RunState as RunState,
 )

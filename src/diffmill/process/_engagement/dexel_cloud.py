@@ -112,7 +112,7 @@ class DexelCloud(AbstractEngagement):
                 f"{self.updates_per_period}."
             )
 
-    def advance(
+    def remove(
         self, process: Process, state: ProcessState, index: Int[Array, ""], pose: Pose
     ) -> tuple[ProcessState, RemovedVolume]:
         """Enter a pose in the track and remove it from the stock."""

@@ -63,7 +63,7 @@ class UprightFlat(AbstractEngagement):
         """Refuse updates that do not divide a period."""
         check_updates(self)
 
-    def advance(
+    def remove(
         self, process: Process, state: ProcessState, index: Int[Array, ""], pose: Pose
     ) -> tuple[ProcessState, RemovedVolume]:
         """Enter the pose in the history, and remove what lies behind the lag."""

@@ -102,7 +102,7 @@ def _replay(
         near = jax.tree.map(
             lambda x: jax.lax.dynamic_slice_in_dim(x, index - 1, 4), padded
         )
-        state, _ = engagement.advance(process, state, index - 1, near[1])
+        state, _ = process.remove(state, index - 1, near[1])
         middles, ends = process.poses_within(near)
         return _Replayed(state, middles[1], ends[1])
 

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ..._arrays import cast_floats, has_values, is_traced, on_device
+from ..._arrays import cast_floats, first_rows, has_values, is_traced, on_device
 from ..._job import Job
 from ..._padding import pad_rows
 from ..._result import RESULTS, SimulationFailed
@@ -32,13 +32,13 @@ from ...workpiece import Pose, Stock
 from .._machine._integrator.choose import make_integrator
 from .._machine.commands import JobKinematics
 from .._machine.elastic import ElasticArm
-from .._machine.machine import RUN_ROWS, Ending, Run, RunEnd, RunRows
+from .._machine.machine import PendingRemoval, Removal, Run
 from .._machine.modal import ModalMachine
 from .._machine.quasi_static import QuasiStaticArm
 from .._machine.rigid import Rigid
 from .failure import troubles_of
 from .intervals import with_more_intervals
-from .padding import cut_rows, padded_job
+from .padding import padded_job
 
 if TYPE_CHECKING:
     import pandas
@@ -142,17 +142,21 @@ class Solution(eqx.Module):
             motors = on_device(pad_rows(motors, steps))
         elif program.kinematics is not None:
             motors, is_reached = program.kinematics.motors(tips)
-        ran = _follow(program, rigid.stock, _Command(tips, motors, is_reached))
-        end = _remove_pending(program.process, ran.ending)
-        if steps != count:
-            ran = cut_rows(ran, _FOLLOWED_ROWS, count)
-            end = cut_rows(end, _END_ROWS, count)
+        ran, wall = _follow(program, rigid.stock, tips, motors)
+        ran = ran.finished(_remove_pending(program.process, ran.pending()))
+        ran = ran.first(count)
+        wall, is_reached = first_rows((wall, is_reached), count)
+        # On the host, since a device compiles these for every length.
+        xp = jnp if is_traced((ran, rigid, is_reached)) else np
+        is_cutting = xp.any(xp.asarray(rigid.force) != 0, axis=1)
+        has_failed = xp.asarray(ran.has_failed) | xp.asarray(rigid.has_failed)
+        are_reached = on_device(xp.asarray(xp.all(xp.asarray(is_reached))))
         # What a rigid cut that failed says of where the tool cuts would be wrong; what
         # went wrong in a cut counts before what is not reached, which `is_reached`
         # tells.
-        is_good = end.result == RESULTS.successful
-        result = RESULTS.where(is_good, rigid.result, end.result)
-        only_unreached = (result == RESULTS.successful) & ~_all(ran.is_reached)
+        is_good = ran.result == RESULTS.successful
+        result = RESULTS.where(is_good, rigid.result, ran.result)
+        only_unreached = (result == RESULTS.successful) & ~are_reached
         result = RESULTS.where(only_unreached, RESULTS.unreachable, result)
         return Solution(
             time=on_device(job.path.time),
@@ -160,18 +164,18 @@ class Solution(eqx.Module):
             commanded=commanded,
             actual=ran.actual,
             force=ran.force,
-            removed_volume=end.removed_volume,
-            shank_volume=end.shank_volume,
-            surface_deviation=ran.surface_deviation,
-            wall_share=ran.wall_share,
-            contour_error=ran.contour_error,
-            is_cutting=_is_cutting(rigid.force),
-            motor_positions=ran.motor_positions,
+            removed_volume=ran.removed_volume,
+            shank_volume=ran.shank_volume,
+            surface_deviation=wall.deviation,
+            wall_share=wall.share,
+            contour_error=wall.contour_error,
+            is_cutting=on_device(is_cutting),
+            motor_positions=wall.motors,
             joint_positions=ran.joint_positions,
             initial_overlap_volume=ran.initial_overlap_volume,
-            has_failed=_either(end.has_failed, rigid.has_failed),
-            is_reached=ran.is_reached,
-            stock=end.stock,
+            has_failed=on_device(has_failed),
+            is_reached=is_reached,
+            stock=ran.stock,
             rigid=rigid,
             result=result,
             joint_names=() if job.robot is None else job.robot.joint_names,
@@ -417,22 +421,21 @@ def rigid_cut(
         tips, program = rows.tip, dataclasses.replace(program, axes=rows.axis)
     # For what is differentiated no chips are kept.
     row = None if is_traced((job, along)) else on_device(np.asarray(chip_row, np.int32))
-    found = _cut_along(program, tips, row)
-    cut = found.ended(_remove_pending(program.process, found.ending))
+    cut = _cut_along(program, tips, row)
+    cut = cut.finished(_remove_pending(program.process, cut.pending()))
     if along is None:
-        is_none = lambda x: x is None
-        of = lambda run: (run.instantaneous_force, run.chips)
-        cut = eqx.tree_at(of, cut, (None, None), is_leaf=is_none)
+        cut = dataclasses.replace(cut, instantaneous_force=None, chips=None)
         if job.cutter.has_runout:
             # The same program, of a cutter that runs true.
             runout = lambda p: p.process.cutter.runout
             program = eqx.tree_at(runout, program, replace_fn=jnp.zeros_like)
-            found = _cut_along(program, tips, row)
-            true = found.ended(_remove_pending(program.process, found.ending))
+            pending = _cut_along(program, tips, row).pending()
+            true = _remove_pending(program.process, pending)
             is_good = cut.result == RESULTS.successful
             result = RESULTS.where(is_good, true.result, cut.result)
-            cut = eqx.tree_at(lambda c: (c.stock, c.result), cut, (true.stock, result))
-    return cut_rows(cut, RUN_ROWS, count) if total != count else cut
+            nominal = lambda run: (run.removal.stock, run.removal.result)
+            cut = eqx.tree_at(nominal, cut, (true.stock, result))
+    return cut.first(count)
 
 
 class JobModel(eqx.Module):
@@ -494,8 +497,8 @@ def _cut_along(
     program: JobModel,
     positions: Float[Array, "step 3"],
     chip_row: Int[Array, ""] | None,
-) -> RunRows:
-    """Return the process alone of a rigid machine on the given tips, but for its end.
+) -> Run:
+    """Run of a rigid machine on the given tips, but for its pending removals.
 
     With the force at every angle and the chips of a revolution, for figures, since
     another program without them would be compiled beside this one.
@@ -506,96 +509,59 @@ def _cut_along(
 
 
 @CachedJit
-def _remove_pending(process: Process, ending: Ending) -> RunEnd:
-    """Return what removes all that waits: the same for every machine."""
-    return ending.remove(process)
+def _remove_pending(process: Process, pending: PendingRemoval) -> Removal:
+    """The end of a run: the same for every machine."""
+    return pending.finish(process)
 
 
-def _is_cutting(force: Float[Array, "step 3"]) -> Bool[Array, " step"]:
-    if isinstance(force, jax.core.Tracer):
-        return jnp.any(force != 0, axis=1)
-    # On the host, since a device compiles it for every length.
-    return on_device(np.any(np.asarray(force) != 0, axis=1))
+class _Wall(eqx.Module):
+    """The machined wall of a run, and the motion of its motors.
 
+    Attributes:
+        deviation: As `Solution.surface_deviation`.
+        share: As `Solution.wall_share`.
+        contour_error: As of `Solution`.
+        motors: As `Solution.motor_positions`.
+    """
 
-def _all(flags: Bool[Array, " step"]) -> Bool[Array, ""]:
-    if isinstance(flags, jax.core.Tracer):
-        return jnp.all(flags)
-    return on_device(np.asarray(np.all(np.asarray(flags))))
-
-
-def _either(a: Bool[Array, " step"], b: Bool[Array, " step"]) -> Bool[Array, " step"]:
-    if isinstance(a, jax.core.Tracer) or isinstance(b, jax.core.Tracer):
-        return a | b
-    return on_device(np.asarray(a) | np.asarray(b))
-
-
-class _Followed(eqx.Module):
-    """The run of a command, but for its end; other fields as those of `Solution`."""
-
-    actual: Float[Array, "step 3"]
-    force: Float[Array, "step 3"]
-    surface_deviation: Float[Array, "step 3"]
-    wall_share: Float[Array, " step"]
+    deviation: Float[Array, "step 3"]
+    share: Float[Array, " step"]
     contour_error: Float[Array, " step"]
-    motor_positions: Float[Array, "step joint"] | None
-    joint_positions: Float[Array, "step joint"] | None
-    is_reached: Bool[Array, " step"]
-    initial_overlap_volume: Float[Array, ""]
-    ending: Ending
-
-
-# The fields of `_Followed` with a row per step.
-_FOLLOWED_ROWS = (
-    "actual",
-    "force",
-    "surface_deviation",
-    "wall_share",
-    "contour_error",
-    "motor_positions",
-    "joint_positions",
-    "is_reached",
-)
-_END_ROWS = ("removed_volume", "shank_volume", "has_failed")
-
-
-class _Command(eqx.Module):
-    """A command, as tips and as motors."""
-
-    tips: Float[Array, "step 3"]
     motors: Float[Array, "step joint"] | None
-    is_reached: Bool[Array, " step"]
 
 
 @CachedJit
-def _follow(program: JobModel, finished: Stock, command: _Command) -> _Followed:
-    """Return the run of a command, given what the rigid cut leaves."""
+def _follow(
+    program: JobModel,
+    finished: Stock,
+    tips: Float[Array, "step 3"],
+    motors: Float[Array, "step joint"] | None,
+) -> tuple[Run, _Wall]:
+    """Run of a command, but for its pending removals, against what a rigid cut leaves.
+
+    Args:
+        program: The program.
+        finished: Stock that the rigid cut leaves.
+        tips: Commanded tips [m], shape (step, 3).
+        motors: The motors' positions for them; None for a rigid machine.
+    """
     path, process = program.path, program.process
-    desired, motors = jnp.asarray(path.positions), command.motors
+    desired = jnp.asarray(path.positions)
     if program.machine is None:
         # A rigid machine goes where it is told.
-        ran = _cut_along(program, command.tips, None)
-        actual, ends = command.tips, command.tips[:, None]
+        ran, ends = _cut_along(program, tips, None), tips[:, None]
+        ran = dataclasses.replace(ran, instantaneous_force=None, chips=None)
     else:
         assert motors is not None
         if program.controller is not None:
             motors = program.controller.motors(motors, process.tooth_period)
         ran = program.machine.run_rows(process, motors, path.row_count)
-        actual, ends = ran.actual, ran.ends
-    shares = wall_shares(desired, program.axes, process.cutter, finished)
-    deviation = wall_deviation(ends, desired, shares)
-    return _Followed(
-        actual=actual,
-        force=ran.force,
-        surface_deviation=deviation,
-        wall_share=shares,
-        contour_error=contour_error(desired + deviation, desired),
-        motor_positions=None if ran.joint_positions is None else motors,
-        joint_positions=ran.joint_positions,
-        is_reached=command.is_reached,
-        initial_overlap_volume=ran.initial_overlap_volume,
-        ending=ran.ending,
-    )
+        ends = ran.ends
+    share = wall_shares(desired, program.axes, process.cutter, finished)
+    deviation = wall_deviation(ends, desired, share)
+    error = contour_error(desired + deviation, desired)
+    is_arm = ran.joint_positions is not None
+    return ran, _Wall(deviation, share, error, motors if is_arm else None)
 
 
 def _needed(adjoint: AbstractAdjoint, arguments: object) -> AbstractAdjoint:
@@ -614,5 +580,4 @@ def _prepare(job: Job) -> None:
     steps, dtype = program.path.step_count, np.dtype(job.simulation.precision)
     joints = 3 if job.robot is None else len(job.robot.joint_names)
     tips, motors = (on_device(np.zeros((steps, n), dtype)) for n in (3, joints))
-    command = _Command(tips, motors, on_device(np.ones(steps, bool)))
-    _follow.prepare(program, program.process.stock, command)
+    _follow.prepare(program, program.process.stock, tips, motors)

@@ -15,6 +15,7 @@ period once. One recurrence then carries any number of directions at once.
 The stock is held: how a surface moves with the poses that cut it is left out.
 """
 
+import dataclasses
 import functools
 import math
 from typing import Any, NamedTuple
@@ -29,6 +30,7 @@ from jaxtyping import Array, Float, Int, PyTree, Shaped
 from ..._padding import if_valid, live_rows, scan_rows
 from ..._types import IntScalar
 from ...process import AbstractEngagement, Process
+from .._machine.compliant import AbstractCompliant
 from .._machine.machine import (
     Period,
     PeriodRow,
@@ -36,9 +38,8 @@ from .._machine.machine import (
     all_ends,
     begin,
     continued,
-    with_first,
+    prepend_zeros,
 )
-from .._machine.substeps import AbstractCompliant
 from .period_slopes import (
     ArmSlopes,
     CompliantModel,
@@ -362,25 +363,20 @@ def linearise(
         started, first = continued(process, state, steps - 1)
 
     def period(state: RunState, row: PeriodRow):
-        ended, out, substeps = machine.follow(
-            process,
-            state,
-            row.period,
-            row.command,
-            row.is_live,
-            look=engagement_with_slopes,
-        )
+        ended, out = machine.period(process, state, row, engagement_with_slopes)
+        substeps, out = out.substeps, dataclasses.replace(out, substeps=None)
+        assert substeps is not None
         before, after = state.process, ended.process
         # As the period saw it, before its own poses became the most recent.
         near = eqx.tree_at(
             lambda s: (s.recent, s.ends), after, (before.recent, before.ends)
         )
         middles = after.recent[0]
-        found = substeps.found
-        if found is None:
+        cut = substeps.engagement
+        if cut is None:
             predicted = eqx.tree_at(lambda p: p.tip, middles, substeps.predicted)
-            found = engagement_with_slopes(process, near, row.period, predicted)
-        force = period_force(process, near, found, middles)
+            cut = engagement_with_slopes(process, near, row, predicted)
+        force = period_force(process, near, cut, middles)
         arm = LoadedPeriod(state.machine, row.command, substeps.loads)
         return ended, _PeriodJacobians(out, arm, force)
 
@@ -424,7 +420,7 @@ def linearise(
     head = jnp.concatenate([head.reshape(head.shape[0], -1), by_parameters], axis=1)
     return LinearRun(
         ends=all_ends(around.out),
-        force=with_first(around.out.force),
+        force=prepend_zeros(around.out.force),
         loads=system.loads,
         arm=system.arm,
         pose=system.pose,
@@ -479,7 +475,7 @@ def _solved(
     tip = jnp.eye(d, 3, dtype=dtype)
     free = S * l
     inputs = arm.end.shape[1]
-    looked = arm.looked
+    looked = arm.predicted
     if looked is None:
         # r_0 + ahead (tips - r_0) + the motion of the pose.
         looked = jnp.einsum("st,tai->sai", ahead, arm.middles[:, :3])
@@ -505,7 +501,7 @@ def _solved(
         now = jnp.einsum("slkjp,skju->slup", force.before, teeth.within)
         by_arm = by_arm + jnp.einsum("slup,upi->sli", now, arm.middles)
     last = jnp.zeros_like(force.now)
-    if arm.looked is None:
+    if arm.predicted is None:
         by_tip = force.predicted[..., :3]
         before = before.at[:, :, 0, :, :3].add(
             jnp.einsum("sla,su->slua", by_tip, jnp.asarray(seen, dtype) - ahead)
@@ -521,7 +517,7 @@ def _solved(
     by_parameters = by_parameters + force.parameters.reshape(free, -1)
     stiff = jnp.eye(free, dtype=dtype) - by_loads
     right = jnp.concatenate([by_motion, *rest, by_parameters], axis=1)
-    if arm.looked is None:
+    if arm.predicted is None:
         # A load follows those of earlier sub-steps only.
         loads = jax.scipy.linalg.solve_triangular(stiff, right, lower=True)
     else:

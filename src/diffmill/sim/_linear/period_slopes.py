@@ -30,7 +30,8 @@ from ...process import (
     ProcessState,
 )
 from ...workpiece import Pose
-from .._machine.substeps import AbstractCompliant, CommandRow
+from .._machine.compliant import AbstractCompliant, CommandRow
+from .._machine.machine import PeriodRow
 
 
 class CuttingMachine(NamedTuple):
@@ -121,15 +122,15 @@ class ArmSlopes(eqx.Module):
         middles: Of the poses in the middle of the sub-steps, shape (substep, pose,
             input).
         ends: Of the tips at their ends, shape (substep, 3, input).
-        looked: Of the poses at which the stock is looked up, as `middles`; None where
-            they follow from the period before.
+        predicted: Of the poses at which the stock is looked up, as `middles`; None
+            where they follow from the period before.
     """
 
     end: Float[Array, "state input"]
     pose: Float[Array, "pose input"]
     middles: Float[Array, "substep pose input"]
     ends: Float[Array, "substep 3 input"]
-    looked: Float[Array, "substep pose input"] | None
+    predicted: Float[Array, "substep pose input"] | None
 
 
 def as_rows(pose: Pose) -> Float[Array, "*pose component"]:
@@ -171,14 +172,14 @@ class PeriodForce(eqx.Module):
 
 
 def engagement_with_slopes(
-    process: Process, state: ProcessState, index: Int[Array, ""], predicted: Pose
+    process: Process, state: ProcessState, row: PeriodRow, predicted: Pose
 ) -> Engagement:
     """Return the engagement of a period, with what changes its samples.
 
     Args:
         process: The process; its derivative holds the stock.
         state: State after the removal of this period.
-        index: Index of the period, from 1, shape ().
+        row: The period.
         predicted: Poses at which the stock is looked up, shape (substep, 3).
     """
     engagement = process.engagement
@@ -190,7 +191,7 @@ def engagement_with_slopes(
             lambda rows, first: rows.at[0].set(first), state.recent, as_poses(newest)
         )
         near = eqx.tree_at(lambda s: (s.recent, s.last_tip), state, (recent, start))
-        cut = engagement.engage(process, near, index, as_poses(ahead))
+        cut = engagement.engage(process, near, row.period, as_poses(ahead))
         samples, known = eqx.partition(cut.samples, cut.samples.follows_poses)
         return samples, (known, cut.decimated)
 
@@ -201,23 +202,23 @@ def engagement_with_slopes(
 
 
 def period_force(
-    process: Process, state: ProcessState, found: Engagement, middles: Pose
+    process: Process, state: ProcessState, cut: Engagement, middles: Pose
 ) -> PeriodForce:
     """Return what the slopes of a period's loads follow from.
 
     Args:
         process: The process.
         state: State after the removal of this period.
-        found: The engagement, of `engagement_with_slopes`.
+        cut: The engagement, of `engagement_with_slopes`.
         middles: Poses in the middle of the sub-steps, shape (substep, 3).
     """
-    assert found.sample_jvp is not None
-    samples, known = eqx.partition(found.samples, found.samples.follows_poses)
+    assert cut.sample_jvp is not None
+    samples, known = eqx.partition(cut.samples, cut.samples.follows_poses)
     circles = process.removal.decimated_rows(state)
     decimated = as_rows(state.track.poses.gather(circles * process.engagement.substeps))
     earlier = as_rows(process.earlier(state.recent, middles))
     return PeriodForce(
-        samples, known, found.sample_jvp, as_rows(middles), earlier, decimated, circles
+        samples, known, cut.sample_jvp, as_rows(middles), earlier, decimated, circles
     )
 
 
@@ -257,15 +258,17 @@ def force_slopes(
     ) -> Array:
         machine, process = model.scaled(parameters)
         poses = as_poses(middle), as_poses(earlier), as_poses(old)
-        found = process.engagement.wrench(process, eqx.combine(edges, known), *poses)
-        return jnp.mean(found, axis=0)[: machine.load_count]
+        wrench = process.engagement.wrench(process, eqx.combine(edges, known), *poses)
+        return jnp.mean(wrench, axis=0)[: machine.load_count]
 
     def load_slopes(known: EdgeSamples, *inputs: Any) -> tuple[Any, ...]:
-        found, pull = jax.vjp(functools.partial(load, known), *inputs)
+        loads, vjp = jax.vjp(functools.partial(load, known), *inputs)
         # What all loads are pulled back through is not computed again for each.
-        return jax.vmap(materialise(pull))(jnp.eye(len(found), dtype=found.dtype))
+        return jax.vmap(materialise(vjp))(jnp.eye(len(loads), dtype=loads.dtype))
 
-    found = jax.vmap(load_slopes, (0, 0, 0, None, 0, None))(
+    now, before, decimated, by_edges, by_parameters = jax.vmap(
+        load_slopes, (0, 0, 0, None, 0, None)
+    )(
         around.known,
         around.middles,
         around.earlier,
@@ -273,8 +276,6 @@ def force_slopes(
         around.samples,
         at,
     )
-    now, before, decimated, by_edges, by_parameters = found
-
     both = zip(jax.tree.leaves(by_edges), jax.tree.leaves(by_either), strict=True)
     products = [jnp.einsum("sl...,ps...->slp", a, b) for a, b in both]
     slopes = sum(products[1:], products[0])
@@ -321,10 +322,10 @@ def arm_slopes(model: CompliantModel, period: LoadedPeriod) -> ArmSlopes:
     ) -> tuple[Array | None, ...]:
         machine, process = model.scaled(parameters)
         row = CommandRow(start, stop)
-        found = machine.motion(process, unravel(x), row, loads)
-        poses = found.pose, found.middles, Pose(found.ends), found.looked
+        moved = machine.motion(process, unravel(x), row, loads)
+        poses = moved.pose, moved.middles, Pose(moved.ends), moved.predicted
         rows = [None if x is None else as_rows(x) for x in poses]
-        return ravel_pytree(found.end)[0], *rows
+        return ravel_pytree(moved.end)[0], *rows
 
     inputs = flat, row.start, row.stop, model.nominal(flat.dtype), loads
     by_start = jax.jacfwd(move, argnums=(0, 1, 2, 3))(*inputs)
@@ -337,5 +338,4 @@ def arm_slopes(model: CompliantModel, period: LoadedPeriod) -> ArmSlopes:
 
     pairs = zip(by_start, by_loads, strict=True)
     joined: list[Any] = [None if b is None else join(a, b) for a, b in pairs]
-    end, pose, middles, ends, looked = joined
-    return ArmSlopes(end, pose, middles, ends, looked)
+    return ArmSlopes(*joined)

@@ -31,7 +31,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ...robot import Robot
 from ...workpiece import Pose
-from .substeps import along
+from .coupled_period import along
 
 # Step at which the search ends [rad or m], some nanometres at the tip, or so many eps:
 # in float32 a joint is known no better.

@@ -3,7 +3,7 @@
 The robot's terms (mass matrix, bias forces, Jacobian) are those of the middle of a
 period, where half a step predicts the arm: within a period a joint turns by some 1e-4
 rad, so they are constant to the square of that, but for the weight, which follows the
-joints. Each sub-step (`substeps.py`) hands J^T F to the integrator
+joints. Each sub-step (`coupled_period.py`) hands J^T F to the integrator
 (`_integrator/base.py`).
 """
 
@@ -16,9 +16,9 @@ from ...robot import ArmTerms, Robot, forward_kinematics
 from ...workpiece import Pose
 from ._integrator.base import AbstractIntegrator, ArmState, MotorCommand
 from ._integrator.midpoint import Midpoint
+from .compliant import AbstractInertialMachine, CommandRow, start_rate
+from .coupled_period import AbstractPeriodDynamics
 from .midpoint_terms import FrozenTerms, middle_terms
-from .span import AbstractPeriodDynamics
-from .substeps import AbstractInertialMachine, CommandRow, start_rate
 
 
 class ArmPeriod(AbstractPeriodDynamics):
@@ -103,7 +103,7 @@ class ElasticArm(AbstractInertialMachine):
         """Numbers of a load: on a bending tool the height counts at which it acts."""
         return 6 if self.robot.fast_joints else 3
 
-    def span(self, process: Process, state: ArmState, row: CommandRow) -> ArmPeriod:
+    def dynamics(self, process: Process, state: ArmState, row: CommandRow) -> ArmPeriod:
         """Return the robot in a period, from its state and the motors."""
         robot, rule = self.robot, self.integrator
         rate = (row.stop - row.start) / process.tooth_period

@@ -13,21 +13,20 @@ with the path, but for the stock itself.
 """
 
 import abc
-from typing import NamedTuple
+import dataclasses
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeAlias
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
-from ..._padding import last_row, live_rows, scan_rows
+from ..._arrays import first_rows
+from ..._padding import if_valid, last_row, live_rows, scan_rows
 from ..._result import RESULTS
 from ..._types import IntScalar
-from ...process import (
-    Process,
-    ProcessState,
-    RemovedVolume,
-)
+from ...process import Engagement, Process, ProcessState, RemovedVolume
 from ...workpiece import Pose, PoseTrack, Stock
 from .turn_chips import TurnChips
 
@@ -47,18 +46,50 @@ class RunState(eqx.Module):
 
 
 class PeriodRow(NamedTuple):
-    """What a run is told of a tooth period, or of several.
+    """Input of a tooth period, or of several.
 
     Attributes:
-        period: Its index, shape (*period,); row 0 has none.
+        period: Its index k, from pose k - 1 to pose k, shape (*period,).
         command: The machine's, a tree.
-        is_live: Whether the period counts, shape (*period,); None if all do, or if the
-            scan says so beside the row.
+        is_live: Whether the period counts, shape (*period,); None if all do. In one
+            that does not the machine stands still.
     """
 
     period: Int[Array, "*period"]
     command: PyTree
     is_live: Bool[Array, "*period"] | None = None
+
+
+# From the process, its state after the removal of a period, the period and the poses
+# predicted in the middle of its sub-steps to the engagement.
+Engage: TypeAlias = Callable[[Process, ProcessState, PeriodRow, Pose], Engagement]
+
+
+def engage_if_valid(
+    process: Process, state: ProcessState, row: PeriodRow, predicted: Pose
+) -> Engagement:
+    """Engagement of a period; where that does not count, zeros that cost nothing."""
+    engage = lambda: process.engage(state, row.period, predicted)
+    return if_valid(row.is_live, engage)
+
+
+class LoadedSubsteps(eqx.Module):
+    """Sub-steps of a period.
+
+    Attributes:
+        predicted: Tips at which the stock was looked up [m], shape (*substep, 3).
+        tips: Tips in their middle [m], same shape.
+        ends: Tips at their ends [m], same shape.
+        loads: Forces in `work` [N] and, if the machine takes them, their moments about
+            the tip [N m], shape (*substep, load).
+        engagement: The edges in the stock; None where it was looked up several times.
+    """
+
+    predicted: Float[Array, "*substep 3"]
+    tips: Float[Array, "*substep 3"]
+    ends: Float[Array, "*substep 3"]
+    loads: Float[Array, "*substep load"]
+    engagement: Engagement | None = None
 
 
 class Period(eqx.Module):
@@ -69,9 +100,10 @@ class Period(eqx.Module):
         ends: Tips at the ends of its sub-steps [m], shape (substep, 3).
         force: Mean force on the tool in `work` [N], shape (3,).
         joint_positions: At its start [rad or m], shape (joint,); None without joints.
-        removed: What was removed at its start.
+        removed: Volumes of the poses removed at its start.
         has_failed: Whether a flag of the process is up.
         samples: Force at every angle [N], shape (sample, 3), if it is asked for.
+        substeps: Its sub-steps, of a compliant machine; a run does not record them.
     """
 
     tip: Float[Array, " 3"]
@@ -81,6 +113,7 @@ class Period(eqx.Module):
     removed: RemovedVolume
     has_failed: Bool[Array, ""]
     samples: Float[Array, "sample 3"] | None = None
+    substeps: LoadedSubsteps | None = None
 
 
 class AbstractMachine(eqx.Module):
@@ -124,19 +157,17 @@ class AbstractMachine(eqx.Module):
         self,
         process: Process,
         state: RunState,
-        index: Int[Array, ""],
-        row: PyTree,
-        is_live: Bool[Array, ""] | None,
+        row: PeriodRow,
+        engage: Engage = engage_if_valid,
     ) -> tuple[RunState, Period]:
-        """Return the state after one tooth period, and its outputs.
+        """State after one tooth period, and its outputs.
 
         Args:
             process: The process.
             state: State at its start.
-            index: Index of the period, from 1, shape ().
-            row: What it needs of the command, of `rows`.
-            is_live: Whether the period counts; None if all do. Else the machine stands
-                still.
+            row: The period, with its command of `rows`.
+            engage: Returns its engagement; a machine that looks up the stock several
+                times in a period takes the process's own.
         """
 
     def run(
@@ -168,16 +199,16 @@ class AbstractMachine(eqx.Module):
         not. Under `ThroughPoses` volumes and the final stock are constants in the
         command.
         """
-        found = self.run_rows(process, command, row_count)
-        return found.ended(found.ending.remove(process))
+        ran = self.run_rows(process, command, row_count)
+        return ran.finished(ran.pending().finish(process))
 
     def run_rows(
         self, process: Process, command: PyTree, row_count: IntScalar | None
-    ) -> "RunRows":
-        """Run the rows and leave what waits for removal behind the last of them.
+    ) -> "Run":
+        """Run the rows, without the removals that are pending behind the last of them.
 
-        Arguments and **Differentiability** are those of `run`. The removal is the same
-        for all machines, and apart from them it is compiled once.
+        Arguments and **Differentiability** are those of `run`. What is pending is
+        removed alike for all machines, and apart from them it is compiled once.
         """
         rows = self.rows(process, command, row_count)
         step_count = _length(rows) + 1
@@ -185,31 +216,28 @@ class AbstractMachine(eqx.Module):
         state = begin(self, process, command, step_count)
         first = jnp.ones((), jnp.int32)
         state, periods = _run_periods(self, process, state, first, rows, row_count)
-        overlap, removed = _without_overlap(periods.removed)
         final = self.pose(process, state.machine)
-        instants = _at_instants(self, periods, state, final, last)
-        actual = instants.tip
+        actual = _at_instants(periods.tip, final.tip, last)
+        joints = self.joint_positions(state.machine)
+        # The first period removes nothing but what the tool stood in.
+        overlap = jnp.sum(periods.removed.volume[0])
+        none_at_first = lambda x: x.at[0].set(0)
+        volumes = lambda removed: (removed.volume, removed.by_shank)
+        removed = eqx.tree_at(volumes, periods.removed, replace_fn=none_at_first)
         is_finite = jnp.all(jnp.isfinite(actual)) & jnp.all(jnp.isfinite(periods.force))
-        time = process.tooth_period * jnp.arange(step_count, dtype=actual.dtype)
-        return RunRows(
-            time=time,
-            actual=instants.tip,
+        samples = periods.samples
+        return Run(
+            time=process.tooth_period * jnp.arange(step_count, dtype=actual.dtype),
+            actual=actual,
             ends=all_ends(periods),
-            force=with_first(periods.force),
-            joint_positions=instants.joint_positions,
+            force=prepend_zeros(periods.force),
+            joint_positions=_at_instants(periods.joint_positions, joints, last),
             initial_overlap_volume=overlap,
-            instantaneous_force=None
-            if periods.samples is None
-            else with_first(periods.samples),
-            chips=self.chips(state.machine),
-            ending=Ending(
-                state.process,
-                final,
-                last,
-                removed,
-                periods.has_failed,
-                is_finite,
+            removal=PendingRemoval(
+                state.process, final, last, removed, periods.has_failed, is_finite
             ),
+            instantaneous_force=None if samples is None else prepend_zeros(samples),
+            chips=self.chips(state.machine),
         )
 
     def begin_run(self, process: Process, command: PyTree) -> RunState:
@@ -253,14 +281,76 @@ class AbstractMachine(eqx.Module):
         ended, periods = _run_periods(self, process, started, first, rows)
         final = self.pose(process, ended.machine)
         last = jnp.asarray(count, jnp.int32)
-        instants = _at_instants(self, periods, ended, final, last)
+        joints = self.joint_positions(ended.machine)
         kept = _renumbered(ended.process, first - 1 - history + count, history)
         return RunSegment(
-            instants.tip,
+            _at_instants(periods.tip, final.tip, last),
             all_ends(periods),
-            with_first(periods.force),
-            instants.joint_positions,
+            prepend_zeros(periods.force),
+            _at_instants(periods.joint_positions, joints, last),
             RunState(kept, ended.machine, state.period_count + count),
+        )
+
+
+class Removal(eqx.Module):
+    """Volumes, final stock and outcome of a run, known after its pending removals.
+
+    Attributes as the properties of `Run`.
+    """
+
+    removed_volume: Float[Array, " step"]
+    shank_volume: Float[Array, " step"]
+    stock: Stock
+    has_failed: Bool[Array, " step"]
+    result: RESULTS
+
+
+class PendingRemoval(eqx.Module):
+    """The poses that wait for removal behind the last row of a run.
+
+    Attributes:
+        state: The stock, and the queue of the poses.
+        final: The tool's last pose, shape (3,).
+        last: Index of the last row that counts, shape ().
+        removed: Volumes removed in each period.
+        has_failed: Whether a flag was up after each period, shape (period,).
+        is_finite: Whether all that was computed is finite, shape ().
+    """
+
+    state: ProcessState
+    final: Pose
+    last: Int[Array, ""]
+    removed: RemovedVolume
+    has_failed: Bool[Array, " period"]
+    is_finite: Bool[Array, ""]
+
+    def finish(self, process: Process) -> Removal:
+        """Remove all that waits.
+
+        **Differentiability**: that of `AbstractMachine.run`.
+        """
+        count = self.has_failed.shape[0] + 1
+        ended, newest = process.removal.finish(self.state, self.last, self.final, count)
+
+        def by_pose(earlier: Array, newest_volume: Array) -> Array:
+            # A step removes other poses than its own.
+            volume = jnp.zeros(count, earlier.dtype)
+            volume = volume.at[self.removed.pose.reshape(-1)].add(earlier.reshape(-1))
+            return volume.at[newest.pose].add(newest_volume)
+
+        failed = jnp.concatenate([jnp.zeros(1, bool), self.has_failed])
+        failed = failed.at[self.last].set(failed[self.last] | ended.has_failed)
+        result = RESULTS.where(
+            ended.has_left_window, RESULTS.window_overflow, RESULTS.successful
+        )
+        result = RESULTS.where(ended.has_overflow, RESULTS.interval_overflow, result)
+        result = RESULTS.where(self.is_finite, result, RESULTS.non_finite)
+        return Removal(
+            removed_volume=by_pose(self.removed.volume, newest.volume),
+            shank_volume=by_pose(self.removed.by_shank, newest.by_shank),
+            stock=ended.stock,
+            has_failed=failed,
+            result=result,
         )
 
 
@@ -275,17 +365,12 @@ class Run(eqx.Module):
         force: Mean force on the tool over the period before each instant, in `work`
             [N], shape (step, 3); zero in row 0.
         joint_positions: [rad or m], shape (step, joint); None without joints.
-        removed_volume: Volume that each pose removes [m^3], shape (step,).
-        shank_volume: What of it the shank above the flutes takes [m^3], which no tool
-            can: shape (step,).
         initial_overlap_volume: Stock inside the tool at the first pose [m^3].
-        stock: The stock after the last pose.
-        has_failed: Whether a flag was up after each step, shape (step,).
-        result: Outcome of the run.
+        removal: Volumes, final stock and outcome, or the poses that still wait.
         instantaneous_force: Force at every angle sample of the period before each row
             [N], if it was asked for; sample j of n is that at the share (j + 1/2) / n
             of the period, shape (step, sample, 3).
-        chips: What the teeth met in a revolution, if it was asked for.
+        chips: Chips of the teeth in a revolution, if they were asked for.
     """
 
     time: Float[Array, " step"]
@@ -293,109 +378,64 @@ class Run(eqx.Module):
     ends: Float[Array, "step substep 3"]
     force: Float[Array, "step 3"]
     joint_positions: Float[Array, "step joint"] | None
-    removed_volume: Float[Array, " step"]
-    shank_volume: Float[Array, " step"]
     initial_overlap_volume: Float[Array, ""]
-    stock: Stock
-    has_failed: Bool[Array, " step"]
-    result: RESULTS
-    instantaneous_force: Float[Array, "step sample 3"] | None
+    removal: Removal | PendingRemoval
+    instantaneous_force: Float[Array, "step sample 3"] | None = None
     chips: TurnChips | None = None
 
+    @property
+    def removed_volume(self) -> Float[Array, " step"]:
+        """Volume that each pose removes [m^3], shape (step,)."""
+        return self._finished().removed_volume
 
-# The fields of `Run` with a row per step.
-RUN_ROWS = (
-    "time",
-    "actual",
-    "ends",
-    "force",
-    "joint_positions",
-    "removed_volume",
-    "shank_volume",
-    "has_failed",
-    "instantaneous_force",
-)
+    @property
+    def shank_volume(self) -> Float[Array, " step"]:
+        """Part of it that the shank above the flutes takes [m^3], which no tool can."""
+        return self._finished().shank_volume
 
+    @property
+    def stock(self) -> Stock:
+        """The stock after the last pose."""
+        return self._finished().stock
 
-class RunEnd(eqx.Module):
-    """What the removal of all that waited behind the last row tells of a run.
+    @property
+    def has_failed(self) -> Bool[Array, " step"]:
+        """Whether a flag was up after each step, shape (step,)."""
+        return self._finished().has_failed
 
-    Attributes as of `Run`.
-    """
+    @property
+    def result(self) -> RESULTS:
+        """Outcome of the run."""
+        return self._finished().result
 
-    removed_volume: Float[Array, " step"]
-    shank_volume: Float[Array, " step"]
-    stock: Stock
-    has_failed: Bool[Array, " step"]
-    result: RESULTS
+    def _finished(self) -> Removal:
+        assert isinstance(self.removal, Removal)
+        return self.removal
 
+    def pending(self) -> PendingRemoval:
+        """The poses that wait for removal, of a run of `run_rows`."""
+        assert isinstance(self.removal, PendingRemoval)
+        return self.removal
 
-class Ending(eqx.Module):
-    """The process behind the last row of a run.
+    def finished(self, removal: Removal) -> "Run":
+        """The run after its pending removals."""
+        return dataclasses.replace(self, removal=removal)
 
-    Attributes:
-        state: The stock, and what waits for removal.
-        final: The tool's last pose, shape (3,).
-        last: Index of the last row that counts, shape ().
-        removed: What was removed in each period.
-        has_failed: Whether a flag was up after each period, shape (period,).
-        is_finite: Whether all that was computed is finite, shape ().
-    """
-
-    state: ProcessState
-    final: Pose
-    last: Int[Array, ""]
-    removed: RemovedVolume
-    has_failed: Bool[Array, " period"]
-    is_finite: Bool[Array, ""]
-
-    def remove(self, process: Process) -> RunEnd:
-        """Remove all that waits.
-
-        **Differentiability**: that of `AbstractMachine.run`.
-        """
-        count = self.has_failed.shape[0] + 1
-        ended, rest = process.removal.finish(self.state, self.last, self.final, count)
-        volume, by_shank = _volumes_by_pose(count, self.removed, rest)
-        failed = _failed_rows(self.has_failed, ended, self.last)
-        outcome = _outcome(ended, self.is_finite)
-        return RunEnd(volume, by_shank, ended.stock, failed, outcome)
-
-
-class RunRows(eqx.Module):
-    """A run whose last poses still wait for removal.
-
-    Attributes as of `Run`, and:
-        ending: The process behind the last row.
-    """
-
-    time: Float[Array, " step"]
-    actual: Float[Array, "step 3"]
-    ends: Float[Array, "step substep 3"]
-    force: Float[Array, "step 3"]
-    joint_positions: Float[Array, "step joint"] | None
-    initial_overlap_volume: Float[Array, ""]
-    instantaneous_force: Float[Array, "step sample 3"] | None
-    chips: TurnChips | None
-    ending: Ending
-
-    def ended(self, end: RunEnd) -> Run:
-        """Return the run, with what its ending has told."""
-        return Run(
-            time=self.time,
-            actual=self.actual,
-            ends=self.ends,
-            force=self.force,
-            joint_positions=self.joint_positions,
-            removed_volume=end.removed_volume,
-            shank_volume=end.shank_volume,
-            initial_overlap_volume=self.initial_overlap_volume,
-            stock=end.stock,
-            has_failed=end.has_failed,
-            result=end.result,
-            instantaneous_force=self.instantaneous_force,
-            chips=self.chips,
+    def first(self, count: int) -> "Run":
+        """The first rows of a finished run; the final stock stays."""
+        rows = lambda run: (
+            run.time,
+            run.actual,
+            run.ends,
+            run.force,
+            run.joint_positions,
+            run.instantaneous_force,
         )
+        cut = first_rows(rows(self), count)
+        run = eqx.tree_at(rows, self, cut, is_leaf=lambda x: x is None)
+        rows = lambda end: (end.removed_volume, end.shank_volume, end.has_failed)
+        end = self._finished()
+        return run.finished(eqx.tree_at(rows, end, first_rows(rows(end), count)))
 
 
 class RunSegment(eqx.Module):
@@ -437,24 +477,25 @@ def _run_periods(
     machine: AbstractMachine,
     process: Process,
     state: RunState,
-    index: Int[Array, ""],
-    rows: PyTree,
+    first: Int[Array, ""],
+    commands: PyTree,
     row_count: IntScalar | None = None,
 ) -> tuple[RunState, Period]:
-    """Return the state after all periods, from one of some index, and their outputs."""
-    indices = index + jnp.arange(_length(rows), dtype=jnp.int32)
+    """State after all periods, the first of them of some index, and their outputs."""
+    index = first + jnp.arange(_length(commands), dtype=jnp.int32)
 
     def step(
         state: RunState, row: PeriodRow, is_live: Array | None
     ) -> tuple[RunState, Period]:
-        return machine.period(process, state, row.period, row.command, is_live)
+        state, period = machine.period(process, state, row._replace(is_live=is_live))
+        return state, dataclasses.replace(period, substeps=None)
 
     # Removal looks at poses behind the last one, where the tool stands.
     return scan_rows(
         step,
         state,
-        PeriodRow(indices, rows),
-        live_rows(indices, row_count),
+        PeriodRow(index, commands),
+        live_rows(index, row_count),
         behind=process.removal.standing_rows,
     )
 
@@ -463,38 +504,21 @@ def _length(rows: PyTree) -> int:
     return jax.tree.leaves(rows)[0].shape[0]
 
 
-class _Instants(NamedTuple):
-    """Tips [m] and joint positions [rad or m] at all instants; a row per step."""
-
-    tip: Float[Array, "step 3"]
-    joint_positions: Float[Array, "step joint"] | None
-
-
 def _at_instants(
-    machine: AbstractMachine,
-    periods: Period,
-    state: RunState,
-    final: Pose,
+    starts: Float[Array, "period n"] | None,
+    final: Float[Array, " n"] | None,
     last: Int[Array, ""],
-) -> _Instants:
-    actual = _through(periods.tip, final.tip, last)
-    joints = machine.joint_positions(state.machine)
-    if joints is None or periods.joint_positions is None:
-        return _Instants(actual, None)
-    return _Instants(actual, _through(periods.joint_positions, joints, last))
-
-
-def _through(
-    rows: Float[Array, "period n"], final: Float[Array, " n"], last: Int[Array, ""]
-) -> Float[Array, "step n"]:
-    """Return the rows at the start of every period, and from the last one on the end.
+) -> Any:
+    """Values at all instants: at the start of every period, from the last row on final.
 
     Args:
-        rows: One per period, shape (period, n).
-        final: What is reached in the end, shape (n,).
+        starts: One per period, shape (period, n); None without values.
+        final: The value that is reached in the end, shape (n,); None likewise.
         last: Index of the last row that counts, shape ().
     """
-    rows = jnp.concatenate([rows, final[None]])
+    if starts is None or final is None:
+        return None
+    rows = jnp.concatenate([starts, final[None]])
     index = jnp.arange(rows.shape[0], dtype=jnp.int32)
     return jnp.where((index < last)[:, None], rows, final[None])
 
@@ -505,61 +529,9 @@ def all_ends(periods: Period) -> Float[Array, "step substep 3"]:
     return jnp.concatenate([rest, periods.ends])
 
 
-def with_first(rows: Float[Array, "period ..."]) -> Float[Array, "step ..."]:
-    """Return rows with one of zeros in front."""
+def prepend_zeros(rows: Float[Array, "period ..."]) -> Float[Array, "step ..."]:
+    """Rows with one of zeros in front."""
     return jnp.concatenate([jnp.zeros_like(rows[:1]), rows])
-
-
-def _without_overlap(removed: RemovedVolume) -> tuple[Float[Array, ""], RemovedVolume]:
-    """Return what the tool stood in at first [m^3], and what was removed but for it.
-
-    The first period removes nothing else.
-
-    Args:
-        removed: What was removed in each period of a run.
-    """
-    rest = lambda x: x.at[0].set(0)
-    at = lambda removed: (removed.volume, removed.by_shank)
-    volumes = (rest(removed.volume), rest(removed.by_shank))
-    return jnp.sum(removed.volume[0]), eqx.tree_at(at, removed, volumes)
-
-
-def _volumes_by_pose(
-    step_count: int, removed: RemovedVolume, rest: RemovedVolume
-) -> tuple[Float[Array, " step"], Float[Array, " step"]]:
-    """Return what each pose took, and its shank, from steps that removed others."""
-    both = []
-    for taken, last in (
-        (removed.volume, rest.volume),
-        (removed.by_shank, rest.by_shank),
-    ):
-        volume = jnp.zeros(step_count, taken.dtype)
-        volume = volume.at[removed.pose.reshape(-1)].add(taken.reshape(-1))
-        both.append(volume.at[rest.pose].add(last))
-    return both[0], both[1]
-
-
-def _failed_rows(
-    failed: Bool[Array, " period"], end: ProcessState, last: Int[Array, ""]
-) -> Bool[Array, " step"]:
-    """Return whether a flag was up after each step.
-
-    Args:
-        failed: Whether one was up after each period, shape (period,).
-        end: The state after the last removal.
-        last: The last step, to which that belongs.
-    """
-    rows = jnp.concatenate([jnp.zeros(1, bool), failed])
-    return rows.at[last].set(rows[last] | end.has_overflow | end.has_left_window)
-
-
-def _outcome(state: ProcessState, is_finite: Bool[Array, ""]) -> RESULTS:
-    """Return the outcome of a run from the flags in its last state."""
-    result = RESULTS.where(
-        state.has_left_window, RESULTS.window_overflow, RESULTS.successful
-    )
-    result = RESULTS.where(state.has_overflow, RESULTS.interval_overflow, result)
-    return RESULTS.where(is_finite, result, RESULTS.non_finite)
 
 
 def _with_rows(

@@ -19,8 +19,8 @@ from jaxtyping import Array, Float
 from ...process import Process
 from ...robot import TipModes
 from ...workpiece import Pose
-from .span import AbstractPeriodDynamics
-from .substeps import AbstractInertialMachine, CommandRow, start_rate
+from .compliant import AbstractInertialMachine, CommandRow, start_rate
+from .coupled_period import AbstractPeriodDynamics
 
 
 class ModalState(eqx.Module):
@@ -42,7 +42,7 @@ class ModalState(eqx.Module):
     load: Float[Array, " 3"]
 
 
-class ModalSpan(AbstractPeriodDynamics):
+class ModalPeriod(AbstractPeriodDynamics):
     """The machine in one period, ready for its sub-steps.
 
     Attributes:
@@ -137,10 +137,12 @@ class ModalMachine(AbstractInertialMachine):
         """Return None: it has no joints."""
         del state
 
-    def span(self, process: Process, state: ModalState, row: CommandRow) -> ModalSpan:
+    def dynamics(
+        self, process: Process, state: ModalState, row: CommandRow
+    ) -> ModalPeriod:
         """Return the machine in a period, from its state and the command."""
         T = process.tooth_period
-        return ModalSpan(
+        return ModalPeriod(
             modes=self.modes,
             pose=self.pose(process, state),
             start=row.start,

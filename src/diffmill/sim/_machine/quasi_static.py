@@ -20,28 +20,29 @@ What a real arm adds is left out: swinging at corners, forced vibration and chat
 Derivatives are those of the balance, whatever the steps to it.
 """
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float
 
 from ..._padding import if_valid
 from ..._types import Transform
-from ...process import Engagement, Process
+from ...process import Process
 from ...robot import ArmTerms, Robot, loaded_equilibrium
 from ...workpiece import Pose
 from .bend import StaticDeflection, StaticEquilibrium, balance_with_gaps
+from .compliant import AbstractCompliant, CommandRow, PeriodMotion
 from .elastic import in_work, jacobian_in_work
-from .machine import Period, RunState
-from .rigid import period_wrench
-from .substeps import (
-    AbstractCompliant,
-    CommandRow,
+from .machine import (
+    Engage,
     LoadedSubsteps,
-    PeriodMotion,
+    Period,
+    PeriodRow,
+    RunState,
+    engage_if_valid,
 )
+from .rigid import period_wrench
 
 _NEWTON_STEPS = 2
 
@@ -83,23 +84,20 @@ class QuasiStaticArm(AbstractCompliant):
         """Numbers of a load: on a bending tool the height counts at which it acts."""
         return 6 if self.robot.fast_joints else 3
 
-    def follow(
+    def period(
         self,
         process: Process,
         state: RunState,
-        index: Int[Array, ""],
-        row: CommandRow,
-        is_live: Bool[Array, ""] | None = None,
-        look: Callable[..., Engagement] | None = None,
-    ) -> tuple[RunState, Period, LoadedSubsteps]:
-        """Return what `period` does, and the sub-steps."""
-        start, dtype = state.machine, row.stop.dtype
-        bend = self._deflection(process, start, row)
+        row: PeriodRow,
+        engage: Engage = engage_if_valid,
+    ) -> tuple[RunState, Period]:
+        """State after one tooth period, and its outputs."""
+        start, dtype = state.machine, row.command.stop.dtype
+        bend = self._deflection(process, start, row.command)
         middles, last = process.substep_middles(dtype), process.substep_ends(dtype)
         predicted = bend.expected(start.load, middles)
-        cutting, cut, removed = process.advance(
-            state.process, index, start.pose, predicted, is_live, look
-        )
+        cutting, removed = process.remove(state.process, row.period - 1, start.pose)
+        cut = engage(process, cutting, row, predicted)
         size, recent = start.load.size, cutting.recent
         eye = jnp.eye(size, dtype=dtype)
 
@@ -130,20 +128,19 @@ class QuasiStaticArm(AbstractCompliant):
                 bend, lambda tip: mean_load(bend.poses_to(tip, middles))
             )
 
-        end = if_valid(is_live, balance, start)
+        end = if_valid(row.is_live, balance, start)
         tips, ends = bend.reached(end, middles), bend.reached(end, last)
         cutting = cutting.ended(tips, ends)
-        period = Period(
+        loads = jnp.broadcast_to(end.load[None], (middles.size, size))
+        return RunState(cutting, end, state.period_count), Period(
             tip=start.pose.tip,
             ends=ends.tip,
             force=end.load[:3],
             joint_positions=start.q,
             removed=removed,
-            has_failed=cutting.has_overflow | cutting.has_left_window,
+            has_failed=cutting.has_failed,
+            substeps=LoadedSubsteps(predicted.tip, tips.tip, ends.tip, loads, cut),
         )
-        loads = jnp.broadcast_to(end.load[None], (middles.size, size))
-        steps = LoadedSubsteps(predicted.tip, tips.tip, ends.tip, loads, cut)
-        return RunState(cutting, end, state.period_count), period, steps
 
     def motion(
         self,
@@ -160,7 +157,7 @@ class QuasiStaticArm(AbstractCompliant):
             pose=state.pose,
             middles=bend.poses(load, middles),
             ends=bend.poses(load, process.substep_ends(load.dtype)).tip,
-            looked=bend.expected(state.load, middles),
+            predicted=bend.expected(state.load, middles),
         )
 
     def _deflection(

@@ -5,7 +5,7 @@ import jax
 import jax.core
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from ..._padding import if_valid
 from ..._types import FloatRows3, IntScalar, RealScalarLike
@@ -21,7 +21,15 @@ from ...process import (
     choose_engagement,
 )
 from ...workpiece import Pose, Stock
-from .machine import AbstractMachine, Period, Run, RunState
+from .machine import (
+    AbstractMachine,
+    Engage,
+    Period,
+    PeriodRow,
+    Run,
+    RunState,
+    engage_if_valid,
+)
 from .turn_chips import TurnChips, turn_chips
 
 
@@ -110,37 +118,35 @@ class Rigid(AbstractMachine):
         self,
         process: Process,
         state: RunState,
-        index: Int[Array, ""],
-        row: PathRow,
-        is_live: Bool[Array, ""] | None,
+        row: PeriodRow,
+        engage: Engage = engage_if_valid,
     ) -> tuple[RunState, Period]:
-        """Return the state after one tooth period, and its outputs."""
-        cutting, cut, removed = process.advance(
-            state.process, index, row.start, row.middles, is_live
-        )
+        """State after one tooth period, and its outputs."""
+        poses: PathRow = row.command
+        before, chips, middles = state.machine, state.machine.chips, poses.middles
+        cutting, removed = process.remove(state.process, row.period - 1, poses.start)
+        cut, recent = engage(process, cutting, row, middles), cutting.recent
         samples = if_valid(
-            is_live, lambda: period_wrench(process, cut, row.middles, cutting.recent)
+            row.is_live, lambda: period_wrench(process, cut, middles, recent)
         )[:, :3]
-        before, chips = state.machine, state.machine.chips
         if chips is not None and self.chip_row is not None:
             teeth = process.cutter.flute_count
-            periods_left = self.chip_row - index
+            periods_left = self.chip_row - row.period
             is_kept = (periods_left >= 0) & (periods_left < teeth)
-            recent = cutting.recent
-            found = if_valid(
-                is_kept, lambda: turn_chips(process, cut, row.middles, recent)
+            newest = if_valid(
+                is_kept, lambda: turn_chips(process, cut, middles, recent)
             )
-            place = jnp.where(is_kept, jnp.mod(index, teeth), teeth)
-            chips = jax.tree.map(lambda x, new: x.at[place].set(new), chips, found)
-        cutting = cutting.ended(row.middles, row.ends)
-        stop = if_valid(is_live, lambda: row.stop, before.pose)
+            place = jnp.where(is_kept, jnp.mod(row.period, teeth), teeth)
+            chips = jax.tree.map(lambda x, new: x.at[place].set(new), chips, newest)
+        cutting = cutting.ended(middles, poses.ends)
+        stop = if_valid(row.is_live, lambda: poses.stop, before.pose)
         return RunState(cutting, RigidState(stop, chips), state.period_count), Period(
-            tip=row.start.tip,
-            ends=row.ends.tip,
+            tip=poses.start.tip,
+            ends=poses.ends.tip,
             force=jnp.mean(samples, axis=0),
             joint_positions=None,
             removed=removed,
-            has_failed=cutting.has_overflow | cutting.has_left_window,
+            has_failed=cutting.has_failed,
             samples=samples if self.keeps_instantaneous else None,
         )
 
