@@ -208,7 +208,7 @@ def model(job):
     adjoint = pr.ThroughPoses()
     motors = ds.JobKinematics(job).motors(tips(job)).positions
     run = lambda model, motors: model.run(motors).force
-    return Call(run, ds.JobModel.of(job, adjoint), (motors,))
+    return Call(run, ds.MachiningProblem.of(job, adjoint), (motors,))
 
 
 # Calls of a few seconds; a name is that of the function, a note may follow it.
@@ -687,7 +687,7 @@ JOBS: dict[str, Callable[[dm.Job], Call]] = {
         job,
         along(9e8),
     ),
-    "sim.JobModel.run": model,
+    "sim.MachiningProblem.run": model,
     "sim.JobKinematics.motors": lambda job: Call(
         lambda job, tips: ds.JobKinematics(job).motors(tips).positions,
         job,
@@ -949,7 +949,7 @@ LEFT_OUT = {
         "robot.TipModes.of_robot",
         "robot.build",
         "robot.rpy_*",
-        "sim.JobModel.of",
+        "sim.MachiningProblem.of",
         "toolpath.BlockEnds.*",
         "toolpath.Move.*",
         "toolpath.Path.*",

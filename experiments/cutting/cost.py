@@ -73,7 +73,7 @@ def compiled(job: dm.Job, tips: jax.Array):
 
     def run(command: jax.Array) -> jax.Array:
         motors, _ = dm.sim.JobKinematics(job).motors(command)
-        model = dm.sim.JobModel.of(job, dm.process.ThroughPoses())
+        model = dm.sim.MachiningProblem.of(job, dm.process.ThroughPoses())
         return model.run(motors).actual
 
     return jax.jit(run).lower(tips).compile()

@@ -19,7 +19,7 @@ def measure(report: Report) -> None:
                 job.cutter,
                 job.law,
                 job.spindle_speed,
-                engagement=dm.sim.JobModel.of(
+                engagement=dm.sim.MachiningProblem.of(
                     job, dm.process.ThroughRays()
                 ).process.engagement,
                 adjoint=dm.process.ThroughPoses(),

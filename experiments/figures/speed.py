@@ -46,7 +46,9 @@ def measure(report: Report) -> None:
 def error_of(job: dm.Job, tips: jax.Array) -> jax.Array:
     """Return the mean square deviation of the tip from the desired path [m^2]."""
     motors, _ = dm.sim.JobKinematics(job).motors(tips)
-    actual = dm.sim.JobModel.of(job, dm.process.ThroughPoses()).run(motors).actual
+    actual = (
+        dm.sim.MachiningProblem.of(job, dm.process.ThroughPoses()).run(motors).actual
+    )
     desired = jnp.asarray(job.path.positions)
     return jnp.mean(jnp.sum((actual - desired) ** 2, axis=1))
 

@@ -141,7 +141,7 @@ def costs(report, job):
     def tips(x):
         full = jnp.concatenate([x, jnp.zeros(1)])
         scaled = job.with_scaled(full)
-        return sim.JobModel.of(scaled, pr.ThroughPoses()).run(motors).actual
+        return sim.MachiningProblem.of(scaled, pr.ThroughPoses()).run(motors).actual
 
     zero = jnp.zeros(len(names) - 1)
     first = zero.at[0].set(1.0)

@@ -44,7 +44,7 @@ def measure(report: Report) -> None:
     job = eqx.tree_at(lambda j: j.path, job, first)
     tips = jnp.asarray(job.path.positions)
     motors = sim.JobKinematics(job).motors(tips)[0]
-    model = sim.JobModel.of(job, pr.FrozenStock())
+    model = sim.MachiningProblem.of(job, pr.FrozenStock())
     machine, process = model.machine, model.process
     assert machine is not None
     run = run_time(job)
@@ -134,7 +134,7 @@ def tip_problem(job: dm.Job) -> co.Problem:
 def run_time(job: dm.Job) -> float:
     """Return how long the machine of a job runs [s]."""
     motors = sim.JobKinematics(job).motors(jnp.asarray(job.path.positions))[0]
-    model = sim.JobModel.of(job, pr.FrozenStock())
+    model = sim.MachiningProblem.of(job, pr.FrozenStock())
     machine = model.machine
     assert machine is not None
     forward = eqx.filter_jit(lambda x: machine.run(model.process, x).ends)

@@ -44,7 +44,7 @@ def measure(report):
         report.say("found neither c++ nor g++: nothing measured")
         return
     job = load_example("paper_small").with_precision()
-    process = sim.JobModel.of(job, pr.FrozenStock()).process
+    process = sim.MachiningProblem.of(job, pr.FrozenStock()).process
     path = jnp.asarray(job.path.positions)
     first = np.linspace(0, path.shape[0] - 1 - PERIODS, SEGMENTS).astype(int)
     segments = jnp.stack([path[i : i + PERIODS + 1] for i in first])

@@ -41,12 +41,12 @@ def coupled(report, job, *, has_gradient=False):
     """Print the time of a coupled step in a job's precision, and of its gradient."""
     precision = job.simulation.precision
     # As `simulate` runs it where nothing is differentiated.
-    model = sim.JobModel.of(job, process.FrozenStock())
+    model = sim.MachiningProblem.of(job, process.FrozenStock())
     machine, cut = model.machine, model.process
     assert machine is not None
     motors = sim.JobKinematics(job).motors(jnp.asarray(job.path.positions))[0]
     run = jax.jit(lambda x: machine.run(cut, x).ends)
-    tied = sim.JobModel.of(job, process.ThroughPoses()).process
+    tied = sim.MachiningProblem.of(job, process.ThroughPoses()).process
     if not has_gradient:
         (forward,) = alternate(RUNS, lambda: run(motors))
     else:

@@ -48,12 +48,12 @@ def cast_floats(tree: _Tree, dtype: jnp.dtype) -> _Tree:
 
 
 def has_values(*leaves: object) -> bool:
-    """Whether leaves of a tree are numbers or arrays: a part of it may have None."""
+    """True if all leaves are numbers or arrays: a part of a tree may have None."""
     return all(isinstance(leaf, jax.Array | np.ndarray | float) for leaf in leaves)
 
 
 def is_traced(arguments: object) -> bool:
-    """Return whether JAX traces any of the arguments, as for a derivative."""
+    """True if JAX traces any of the arguments, as for a derivative."""
     return any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(arguments))
 
 

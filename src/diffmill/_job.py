@@ -298,7 +298,7 @@ class Job(eqx.Module):
             raise ValueError("Argument `modes` must be None beside a robot.")
 
     def __repr__(self) -> str:
-        """Return what the job is about, in five lines."""
+        """Cutter, force law, stock and machine of the job, in five lines."""
         read = (self.spindle_speed, self.path.time, self.stock.families[0].ends)
         if not has_values(*read) or is_traced(self) or np.ndim(read[0]) > 0:
             return f"Job({self.name!r}, traced, stacked or without values)"
@@ -322,7 +322,7 @@ class Job(eqx.Module):
 
     @property
     def is_rigid(self) -> bool:
-        """Whether the machine goes where it is told."""
+        """True if the machine goes where it is told."""
         return self.robot is None and self.modes is None
 
     @property
@@ -416,28 +416,6 @@ class Job(eqx.Module):
                 'jax.config.update("jax_enable_x64", True) must come first.'
             )
         return cast_floats(self, dtype)
-
-    def without_texts(self) -> "Job":
-        """Return the job as compiled programs see it, since each text is another one.
-
-        What stands only in its file, and what others do with its results, is left out.
-        """
-        settings = dataclasses.replace(
-            self.simulation, has_sensitivity=False, stability="none", scatter=None
-        )
-        return dataclasses.replace(
-            self,
-            name="",
-            source="",
-            program="",
-            notes=(),
-            simulation=settings,
-            correction=CorrectionSettings(),
-            holder=None,
-            keeps_intervals=False,
-            output=OutputSettings(),
-            timing=None,
-        )
 
     def with_intervals(self, counts: Sequence[int]) -> "Job":
         """Return the job with slots for so many intervals along x, y and z, and a note.

@@ -56,7 +56,7 @@ def last_row(step_count: int, row_count: IntScalar | None) -> Int[Array, ""]:
 def live_rows(
     indices: Int[Array, " period"], row_count: IntScalar | None
 ) -> Bool[Array, " period"] | None:
-    """Return which periods end at a row that counts; None for all."""
+    """Flags of the periods that end at a row that counts; None for all."""
     return None if row_count is None else indices < row_count
 
 
@@ -65,7 +65,7 @@ def if_valid(
     compute: Callable[[], _Tree],
     otherwise: _Tree | None = None,
 ) -> _Tree:
-    """Return what a period computes, if it is one that counts.
+    """Values that a period computes, if it is one that counts.
 
     Only what leaves the stock as it is may be skipped: a branch that hands a stock on
     copies it, which takes as long as a period.
@@ -107,7 +107,7 @@ def scan_rows(
     behind: int = 0,
     together: int = _TOGETHER,
 ) -> PyTree:
-    """Return what `jax.lax.scan` does, without many rows that do not count.
+    """Scan over rows as `jax.lax.scan`, without many rows that do not count.
 
     Where none of some rows counts, they are left out together: a branch that hands a
     stock on copies it, which is then little beside the rows of the other branch.
@@ -150,7 +150,7 @@ def scan_rows(
 def map_rows(
     compute: Callable[..., _Tree], is_live: Bool[Array, " row"] | None, *rows: PyTree
 ) -> _Tree:
-    """Return what `jax.vmap` does, without many rows that do not count.
+    """Map over rows as `jax.vmap`, without many rows that do not count.
 
     Args:
         compute: What is computed of a row, from its part of each of the trees.

@@ -142,7 +142,7 @@ class ResultsFolder(NamedTuple):
 
     @property
     def version(self) -> tuple[int, int] | None:
-        """What differs between two runs that wrote the folder; None before any."""
+        """Difference between two runs that wrote the folder; None before any."""
         with contextlib.suppress(OSError):
             found = (self.path / _MANIFEST).stat()
             return found.st_ino, found.st_mtime_ns
@@ -159,7 +159,7 @@ class ResultsFolder(NamedTuple):
         return [file for file in names if file.exists()]
 
     def has_unfinished_run(self) -> bool:
-        """Return whether the results are of a run that has not finished its figures."""
+        """True if the results are of a run that has not finished its figures."""
         return bool(self.checkpoints() and self._manifest())
 
     def write(self, fill: Fill, *, force: bool = False) -> None:
@@ -193,7 +193,7 @@ class ResultsFolder(NamedTuple):
                 self._take(temporary, names)
 
     def has_place_for(self, name: str) -> bool:
-        """Return whether a file of that name lies directly in the folder."""
+        """True if a file of that name lies directly in the folder."""
         return (self.path / name).parent == self.path and name not in ("", ".", "..")
 
     @contextlib.contextmanager
@@ -360,7 +360,7 @@ def _digest(path: pathlib.Path) -> str:
 
 
 def _part_prefix(path: pathlib.Path) -> str:
-    """Return how the names of the parts of a file or folder begin."""
+    """Beginning of the names of the parts of a file or folder."""
     return f"{PART}{_digest(path)}-"
 
 

@@ -108,7 +108,7 @@ def test_maps_agree_with_differences(job, maps):
     def tip(log_scale):
         scaled = job.with_scaled(log_scale)
         motors = sim.JobKinematics(scaled).motor_positions_from_joints(joints)
-        return sim.JobModel.of(scaled, pr.ThroughPoses()).run(motors).actual
+        return sim.MachiningProblem.of(scaled, pr.ThroughPoses()).run(motors).actual
 
     zero = np.zeros(len(maps.names))
     for name in ("K y", "K_tc", "K_rc"):
@@ -153,7 +153,9 @@ def test_the_band_of_a_stiffness_adds_to_the_error(job):
     )
     # The controller goes on by the stiffness that it knows.
     assert solution.motor_positions is not None
-    ran = sim.JobModel.of(softer, pr.FrozenStock()).run(solution.motor_positions)
+    ran = sim.MachiningProblem.of(softer, pr.FrozenStock()).run(
+        solution.motor_positions
+    )
     moved = np.asarray(ran.actual - solution.actual)
     moved = (moved - moved[0])[:, 2]
     known = np.sum(band.shift, axis=0)[:, 2]

@@ -72,9 +72,11 @@ def _run_time(job: "Job") -> float:
 def _row_time(job: "Job") -> float:
     """Return the time of a row [ms]."""
     from ..process import EdgeElementsInSpace, FrozenStock
-    from ..sim import JobModel
+    from ..sim import MachiningProblem
 
-    engagement = JobModel.of(job.with_precision(), FrozenStock()).process.engagement
+    engagement = MachiningProblem.of(
+        job.with_precision(), FrozenStock()
+    ).process.engagement
     rays = 2 * job.cutter.nominal_radius / job.stock.spacing
     if not isinstance(engagement, EdgeElementsInSpace):
         discs = engagement.discs.count

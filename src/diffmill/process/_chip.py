@@ -87,7 +87,7 @@ def chip_along(
     outward: RadialDirection,
     if_missed: RealScalarLike,
 ) -> Float[Array, "*sample"]:
-    """Return what `circle_chip` does, along directions that are known.
+    """Chip thickness as of `circle_chip`, along directions that are known.
 
     Args:
         radius: As of `circle_chip`.
@@ -136,7 +136,7 @@ def edge_contact(
     feed_per_tooth: Float[Array, ""],
     angle_step: float | Float[Array, "*#sample"],
 ) -> Float[Array, "*sample"]:
-    """Return whether an edge is in contact, as a smooth step at zero thickness.
+    """Contact of an edge, a smooth step from 0 to 1 at zero thickness.
 
     The step is as wide as the chip changes from one sample to the next, centered on
     zero, so that the sum over samples is the length of the edge at any phase of them.
@@ -186,7 +186,7 @@ def rounded_corner(
 def chip_growth(
     ahead: Float[Array, "*sample"], rise: Float[Array, "*sample"], angles: int
 ) -> Float[Array, "*sample"]:
-    """Return how much thicker a chip is at the next sample.
+    """Growth of a chip's thickness to the next sample.
 
     Args:
         ahead: Motion per tooth along the normal of the edge, the chip but for the bow
@@ -207,7 +207,7 @@ def chip_growth(
 def sideways_share(
     sideways: Float[Array, "*sample"], way: Float[Array, "*#sample"]
 ) -> Float[Array, "*sample"]:
-    """Return how far an edge counts as moved along its normals.
+    """Displacement of an edge along its normals, as far as it counts.
 
     The chip of a side that only moves along itself, as in a plunge, is zero all the way
     round: on that edge of the step of `edge_contact` half of it would rub.
@@ -235,7 +235,7 @@ def safe_norm(vector: Float[Array, "*sample n"]) -> Float[Array, "*sample"]:
 def freeze_derivative_at_standstill(
     value: Float[Array, "*sample"], feed_per_tooth: Float[Array, "*#sample"]
 ) -> Float[Array, "*sample"]:
-    """Return what depends on the direction of a motion, its derivative held at rest.
+    """Values that follow the direction of a motion, constant where the tool rests.
 
     Where the tool hardly moves, its direction turns by feed^-1 per metre: true over
     nanometres, and of no use over the micrometres by which a path is corrected. There

@@ -20,7 +20,7 @@ _DESCENT = 0.01
 def within_periods(
     positions: Float[Array, "step 3"], shares: Float[Array, " substep"]
 ) -> Float[Array, "period substep 3"]:
-    """Return where the tip is within the periods between given instants.
+    """Tips within the periods between given instants.
 
     Cubic through the two instants, with the slopes of their neighbours (Catmull-Rom):
     a chip is the difference of two such positions, and with straight lines between
@@ -112,7 +112,7 @@ def substep_ends(substeps: int, dtype: jnp.dtype) -> Float[Array, " substep"]:
 
 
 class Immersion(NamedTuple):
-    """How a path of the tool enters the stock.
+    """Immersion of a path of the tool in the stock.
 
     Attributes:
         depth: How deep it goes below the top of the stock [m].
@@ -147,7 +147,7 @@ class Immersion(NamedTuple):
 
     @staticmethod
     def is_plunging(positions: FloatRows3, top: float) -> bool:
-        """Return whether a step below the top descends by more than 1 % of its length.
+        """True if a step below the top descends by more than 1 % of its length.
 
         Args:
             positions: Tool tip in `work` [m], shape (step, 3), on the host.

@@ -36,7 +36,7 @@ class Substeps(NamedTuple):
 
 
 class AbstractEngagement(eqx.Module):
-    """Where the teeth are in the material, and what chips they cut.
+    """Engagement model: places of the teeth in the material, and their chips.
 
     Attributes:
         angles: Samples of the immersion angle per revolution.
@@ -85,7 +85,7 @@ class AbstractEngagement(eqx.Module):
         predicted: Pose,
         part: Substeps | None = None,
     ) -> Engagement:
-        """Return where the teeth of a period meet material, after its removal.
+        """Engagement of the teeth of a period, after its removal.
 
         Args:
             process: The process.
@@ -144,11 +144,11 @@ class AbstractEngagement(eqx.Module):
     def element_heights(
         self, cutter: AbstractCutter, dtype: jnp.dtype
     ) -> Float[Array, " element"]:
-        """Return how far above the tip the middle of every element is [m]."""
+        """Height of the middle of every element above the tip [m]."""
 
 
 class Process(eqx.Module):
-    """What is cut, with what, and how finely.
+    """The cutting process: stock, cutter, force laws and their discretisation.
 
     Attributes:
         stock: The raw workpiece.
@@ -230,7 +230,7 @@ class Process(eqx.Module):
 
     @property
     def removal(self) -> RemovalHistory:
-        """How removal lags behind the tool."""
+        """Lag of the removal behind the tool."""
         engagement = self.engagement
         return RemovalHistory(
             self.cutter,
@@ -274,7 +274,7 @@ class Process(eqx.Module):
         predicted: Pose,
         part: Substeps | None = None,
     ) -> Engagement:
-        """Return where the teeth of a period meet material, as the engagement says.
+        """Engagement of the teeth of a period, after its removal.
 
         In reverse mode it is computed again from what it has read, which is kept.
         """
@@ -282,7 +282,7 @@ class Process(eqx.Module):
         return Rematerialised.of(look)()
 
     def teeth_before(self, dtype: jnp.dtype) -> TeethBefore | None:
-        """Return which poses are those when the teeth before passed.
+        """Weights of the poses at which the teeth before passed.
 
         None for evenly spaced teeth: those of the same sub-step, whole periods ago.
         """

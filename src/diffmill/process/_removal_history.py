@@ -430,7 +430,7 @@ class RemovalHistory(NamedTuple):
         )
 
     def _pass_length(self) -> int:
-        """Return how many nodes one turn of a tooth spans, its helix included."""
+        """Nodes that one turn of a tooth spans, its helix included."""
         turns = 1 + self._helix_turns()
         return math.ceil(turns * self.cutter.flute_count * self.substeps) + 3
 

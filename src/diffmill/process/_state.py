@@ -80,7 +80,7 @@ class ProcessState(eqx.Module):
 
     @property
     def has_failed(self) -> Bool[Array, ""]:
-        """Whether a flag is up, shape ()."""
+        """True if a flag is up, shape ()."""
         return self.has_overflow | self.has_left_window
 
     def ended(self, middles: Pose, ends: Pose) -> "ProcessState":

@@ -28,7 +28,7 @@ class AbstractAdjoint(eqx.Module):
 
     @abc.abstractmethod
     def with_pose_derivatives(self, track: PoseTrack, raw: Stock) -> PoseTrack | None:
-        """Return what carries the derivatives of samples, or None.
+        """The track that carries the derivatives of samples, or None.
 
         Args:
             track: The poses so far.

@@ -76,7 +76,7 @@ def _is_right(
     cutter: AbstractCutter,
     finished: Stock | None,
 ) -> Bool[Array, " step"]:
-    """Return whether the wall is to the right of the feed."""
+    """True where the wall is to the right of the feed."""
     looks_to_both = cutter.flute_count % 2 == 0 and cutter.has_even_pitch
     if finished is None or looks_to_both:
         return jnp.zeros(path.shape[0], bool)
@@ -101,7 +101,7 @@ def wall_deviation(
     desired: Float[Array, "step 3"],
     shares: Float[Array, " step"],
 ) -> Float[Array, "step 3"]:
-    """Return how far the tool is off its path when it makes the walls.
+    """Deviation of the tool from its path when it makes the walls.
 
     Args:
         ends: Tips at the ends of the sub-steps of the period before each row [m], shape

@@ -39,7 +39,7 @@ from ._job.replay import (
     ToothChip as ToothChip,
 )
 from ._job.simulate import (
-    JobModel as JobModel,
+    MachiningProblem as MachiningProblem,
     Solution as Solution,
     rigid_cut as rigid_cut,
     simulate as simulate,

@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 from ..._job import Job
 from ..._types import RealScalarLike
 from ...process import AbstractAdjoint, ThroughPoses
-from ...sim import JobKinematics, JobModel, Solution, simulate
+from ...sim import JobKinematics, MachiningProblem, Solution, simulate
 from ...toolpath import PathFeed, retime
 from .._core.problem import Motion
 from .._job.correct import (
@@ -51,7 +51,7 @@ class FeedPlant(eqx.Module):
         if tool_x is not None:
             job = eqx.tree_at(lambda job: job.path.tool_x, job, tool_x)
         motors, _ = JobKinematics(job).motors(desired)
-        ran = JobModel.of(job, self.adjoint).run(motors)
+        ran = MachiningProblem.of(job, self.adjoint).run(motors)
         return wall_motion(job, ran.ends, ran.force, None)
 
 

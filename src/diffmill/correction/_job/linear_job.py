@@ -1,7 +1,5 @@
 """The linear system of a job, of its whole path or of some rows."""
 
-import dataclasses
-
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -14,8 +12,8 @@ from ...numerics import CachedJit
 from ...process import FrozenStock, wall_deviation, wall_shares
 from ...robot import Controller
 from ...sim import (
-    JobModel,
     LinearRun,
+    MachiningProblem,
     RunState,
     linearise,
 )
@@ -131,15 +129,15 @@ def linear_job(
     count = job.path.step_count
     if state is not None or wall_share is None or is_traced((job, motors)):
         return _linear_job(
-            JobModel.of(job, FrozenStock()), motors, slopes, wall_share, state
+            MachiningProblem.of(job, FrozenStock()), motors, slopes, wall_share, state
         )
     # A whole path runs at one of few lengths, for which it is compiled.
-    padded = dataclasses.replace(job, path=job.path.padded())
-    rows = padded.path.step_count
+    problem = MachiningProblem.padded(job, FrozenStock())
+    rows = problem.path.step_count
     long = lambda x: on_device(pad_rows(x, rows))
     given = long(motors), long(slopes), long(wall_share)
-    found = _linear_job(JobModel.of(padded, FrozenStock()), *given, None)
-    return _first_rows(found, count) if rows > count else found
+    padded = _linear_job(problem, *given, None)
+    return _first_rows(padded, count) if rows > count else padded
 
 
 def _first_rows(padded: LinearJob, count: int) -> LinearJob:
@@ -156,37 +154,36 @@ def prepare_linear_job(job: Job) -> None:
     Args:
         job: The job, in its precision; its machine must not be rigid.
     """
-    job = dataclasses.replace(job, path=job.path.padded())
-    rows, dtype = job.path.step_count, np.dtype(job.simulation.precision)
+    problem = MachiningProblem.padded(job, FrozenStock())
+    rows, dtype = problem.path.step_count, np.dtype(job.simulation.precision)
     joints = 3 if job.robot is None else len(job.robot.joint_names)
     axes = joints if job.correction.command == "joint" else 3
     shapes = (rows, joints), (rows, joints, axes), (rows,)
     motors, slopes, shares = (on_device(np.zeros(x, dtype)) for x in shapes)
-    model = JobModel.of(job, FrozenStock())
-    _linear_job.prepare(model, motors, slopes, shares, None)
+    _linear_job.prepare(problem, motors, slopes, shares, None)
 
 
 @CachedJit
 def _linear_job(
-    model: JobModel,
+    problem: MachiningProblem,
     motors: Float[Array, "row joint"],
     slopes: Float[Array, "row joint axis"],
     wall_share: Steps | None,
     state: JobState | None,
 ) -> LinearJob:
-    machine, process, path = model.machine, model.process, model.path
+    machine, process, path = problem.machine, problem.process, problem.path
     assert machine is not None
     time_step = jnp.asarray(process.tooth_period, motors.dtype)
     coupled = memory = None
     if state is not None:
         coupled, memory = state.coupled, state.controller
-    if model.controller is not None:
-        motors = _controlled(model.controller, motors, time_step, memory)
+    if problem.controller is not None:
+        motors = _controlled(problem.controller, motors, time_step, memory)
     run = linearise(machine, process, motors, coupled, row_count=path.row_count)
     desired = jnp.asarray(path.positions)
     if wall_share is None:
-        wall_share = wall_shares(desired, model.axes, process.cutter)
+        wall_share = wall_shares(desired, problem.axes, process.cutter)
     shares = jnp.asarray(wall_share, desired.dtype)
     deviation = wall_deviation(run.ends, desired, shares)
     motion = Motion(desired + deviation, run.force)
-    return LinearJob(motion, run, slopes, shares, time_step, model.controller, memory)
+    return LinearJob(motion, run, slopes, shares, time_step, problem.controller, memory)

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float, Int, PyTree
 from ..._job import Job
 from ..._types import FloatRows
 from ...process import AbstractAdjoint
-from ...sim import JobKinematics, JobModel
+from ...sim import JobKinematics, MachiningProblem
 from .._core.problem import Motion
 from .._segments.plant_segment import AbstractPiece, AbstractPieces
 from .linear_job import (
@@ -58,7 +58,7 @@ class JobPiece(AbstractPiece):
                 motors, job.tooth_period, before.controller
             )
         own = self._own
-        model = JobModel.of(own, self.adjoint)
+        model = MachiningProblem.of(own, self.adjoint)
         assert model.machine is not None
         rows = model.machine.run_segment(model.process, motors, before.coupled)
         motion = wall_motion(own, rows.ends, rows.force, self.wall_share)
@@ -147,7 +147,7 @@ def _begin(
         period = job.tooth_period
         memory = job.controller.begin(motors, period, rows_before, preview_rows)
         motors = job.controller.follow(motors, period, memory).motors
-    model = JobModel.of(job, adjoint)
+    model = MachiningProblem.of(job, adjoint)
     assert model.machine is not None
     coupled = model.machine.begin_run(model.process, motors)
     return JobState(coupled, joints[0], memory)

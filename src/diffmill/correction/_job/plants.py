@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from ..._job import Job
 from ..._types import FloatRows
 from ...process import AbstractAdjoint, FrozenStock
-from ...sim import JobKinematics, JobModel, Run, Solution
+from ...sim import JobKinematics, MachiningProblem, Run, Solution
 from .._core.method import AbstractMethod
 from .._core.problem import AbstractHostPlant, Motion, Plant, Problem
 from .._method.ensemble import AbstractUncertainPlant, Parameters
@@ -166,7 +166,7 @@ def _motion(
     wall_share: Steps | None,
     adjoint: AbstractAdjoint,
 ) -> Motion:
-    ran = JobModel.of(job, adjoint).run(motors)
+    ran = MachiningProblem.of(job, adjoint).run(motors)
     return wall_motion(job, ran.ends, ran.force, wall_share)
 
 

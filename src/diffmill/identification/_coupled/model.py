@@ -18,7 +18,7 @@ from jaxtyping import Array, Float
 from ..._job import Job
 from ..._result import RESULTS
 from ...process import ThroughPoses
-from ...sim import JobKinematics, JobModel
+from ...sim import JobKinematics, MachiningProblem
 from .._cut.cut_model import at_times
 from .._statistics.robust_regression import Rows
 
@@ -112,7 +112,7 @@ def _run(
         full = jnp.zeros(len(job.parameter_names), log_scale.dtype)
         scaled = job.with_scaled(full.at[np.array(places)].set(log_scale))
         motors = JobKinematics(scaled).motor_positions_from_joints(joints)
-        ran = JobModel.of(scaled, ThroughPoses()).run(motors)
+        ran = MachiningProblem.of(scaled, ThroughPoses()).run(motors)
         found = _Rows(ran.force, ran.actual - desired)
         result = RESULTS.where(jnp.all(is_reached), ran.result, RESULTS.unreachable)
         return found, (found, result)

@@ -60,7 +60,7 @@ class BottomEdges(eqx.Module):
         predicted: Pose,
         part: Substeps | None = None,
     ) -> BottomSamples:
-        """Return where material stands on the bottom edges.
+        """Engagement of the bottom edges.
 
         What counts is the chip: the stock still holds more, since removal lags behind.
         Arguments as of `AbstractEngagement.engage`.
@@ -222,7 +222,7 @@ def _by_annulus(outward: RadialDirection) -> RadialDirection:
 
 
 class _EarlierEnd(NamedTuple):
-    """How far an earlier end was above annuli [m], and where it covered them."""
+    """Height of an earlier end above annuli [m], and the parts that it covered."""
 
     height: Float[Array, "*place annulus"]
     is_under: Bool[Array, "*place annulus"]
@@ -262,7 +262,7 @@ def _since_corner(
 def _covered(
     height: Float[Array, "*place"], rise: Float[Array, "*place"]
 ) -> Float[Array, "*place"]:
-    """Return which share of an annulus material covers.
+    """Share of an annulus that material covers.
 
     Args:
         height: Of the material above the middle of the annulus, in chips, any shape.

@@ -156,7 +156,7 @@ class DexelCloud(AbstractEngagement):
         predicted: Pose,
         part: Substeps | None = None,
     ) -> Engagement:
-        """Return where the teeth of a period are, and how much of each sample cuts.
+        """Places of the teeth in a period, and the share of each sample that cuts.
 
         A sample stands for the angles up to half a step beside it, and counts with what
         of them lies between phi_in and phi_out.
@@ -266,7 +266,7 @@ class DexelCloud(AbstractEngagement):
     def element_heights(
         self, cutter: AbstractCutter, dtype: jnp.dtype
     ) -> Float[Array, " element"]:
-        """Return how far above the tip the middle of every disc is [m]."""
+        """Height of the middle of every disc above the tip [m]."""
         return self.discs.centers(dtype)
 
 
@@ -276,7 +276,7 @@ def _turn(
     is_point: Bool[Array, "*point"],
     heading: Float[Array, ""],
 ) -> Float[Array, "*point"]:
-    """Return how far points given from the axis are turned from the heading.
+    """Angle from the heading to points that are given from the axis.
 
     From 0 ahead clockwise to 2 behind, and to -2 the other way: it grows with the
     angle, so that it has its extremes at the same points, and needs no arctangent.

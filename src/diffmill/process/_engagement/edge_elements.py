@@ -121,7 +121,7 @@ class EdgeElementsInSpace(AbstractEngagement):
         predicted: Pose,
         part: Substeps | None = None,
     ) -> Engagement:
-        """Return where the edge elements are, and what of their chips is in stock."""
+        """Engagement of the edge elements: places, and shares of the chips in stock."""
         cutter = process.cutter
         elements = self.profile.elements(cutter, predicted.tip.dtype)
         every = _angles(process, elements, index, part)
@@ -276,11 +276,11 @@ class EdgeElementsInSpace(AbstractEngagement):
     def element_heights(
         self, cutter: AbstractCutter, dtype: jnp.dtype
     ) -> Float[Array, " element"]:
-        """Return how far above the tip the middle of every element is [m]."""
+        """Height of the middle of every element above the tip [m]."""
         return self.profile.elements(cutter, dtype).height
 
     def _keeps_all(self, cutter: AbstractCutter) -> bool:
-        """Return whether all teeth are looked up."""
+        """True if all teeth are looked up."""
         is_even = cutter.has_even_pitch and cutter.flute_count > 1
         return self.profile.keeps_all or not is_even
 
@@ -292,7 +292,7 @@ class EdgeElementsInSpace(AbstractEngagement):
         predicted: Pose,
         angle: Float[Array, "substep angle tooth element"],
     ) -> LeadingSamples:
-        """Return what can cut.
+        """The samples that can cut.
 
         Of evenly spaced teeth only half can be on the leading side, where the normal
         points the way that the tool moves, unless it descends.
@@ -423,7 +423,7 @@ def _walk(
     old: Pose,
     count: int,
 ) -> Float[Array, "angle kept element"]:
-    """Return how far an earlier pose's surface lies inward of points on the edge."""
+    """Distance of an earlier pose's surface inward of points on the edge."""
     h = cutter.level(points, old.tip, old.direction())
     for _ in range(count - 1):
         h = h + cutter.level(points - h[..., None] * normals, old.tip, old.direction())
@@ -431,7 +431,7 @@ def _walk(
 
 
 class _Below(NamedTuple):
-    """How far points lie below an earlier end [m], and whether under it."""
+    """Depth of points below an earlier end [m], and flags of those under it."""
 
     depth: Float[Array, "angle kept element"]
     is_under: Bool[Array, "angle kept element"]
@@ -472,7 +472,7 @@ def _of_samples(passed: Pose, tooth: Int[Array, "angle kept element"]) -> Pose:
 def _edge_offsets(
     cutter: AbstractCutter, elements: EdgeElements
 ) -> Float[Array, "tooth element"] | None:
-    """Return how far the elements stand out by the run-out [m], the bottom not at all.
+    """Offset of the elements by run-out [m]; that of the bottom is none.
 
     None for a cutter without run-out.
     """
@@ -485,7 +485,7 @@ def _edge_offsets(
 def _of_teeth(
     values: Float[Array, "tooth element"], tooth: Int[Array, "*sample element"]
 ) -> Float[Array, "*sample element"]:
-    """Return what belongs to the tooth and element of each sample."""
+    """Values of the tooth and element of each sample."""
     return values[tooth, jnp.arange(values.shape[1], dtype=jnp.int32)]
 
 
@@ -528,7 +528,7 @@ def _edge(
     outward: RadialDirection,
     offset: Float[Array, "angle kept element"] | None,
 ) -> _EdgePlaces:
-    """Return where the edge is.
+    """Places and directions of the edge elements.
 
     Args:
         cutter: The cutter.

@@ -59,7 +59,7 @@ class EdgeSamples(eqx.Module):
 
     @property
     def follows_poses(self) -> PyTree[bool]:
-        """Return which leaves change with the poses: no angle does, nor a tooth."""
+        """Flags of the leaves that change with the poses: no angle, no tooth."""
         fixed = jax.tree.map(lambda _: False, self)
         shares = lambda s: (
             s.occupancy,

@@ -34,7 +34,7 @@ _FADE = 0.5
 
 
 class LeadingSamples(NamedTuple):
-    """What can cut of a period, each of shape (substep, angle, kept, element).
+    """Samples of a period that can cut, each of shape (substep, angle, kept, element).
 
     Attributes:
         angle: Immersion angle [rad].
@@ -80,7 +80,7 @@ class LeadingTeeth(eqx.Module):
         return cls(jnp.where(is_one, one, one + half), count)
 
     def of(self, x: Shaped[Array, "substep angle tooth disc"]) -> Shaped[Array, "..."]:
-        """Return what belongs to these teeth, shape (substep, angle, kept, disc)."""
+        """Values of these teeth, shape (substep, angle, kept, disc)."""
         if self.count % 2:
             return jnp.take_along_axis(x, self.place, 2)
         half = self.count // 2

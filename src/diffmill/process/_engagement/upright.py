@@ -77,7 +77,7 @@ class UprightFlat(AbstractEngagement):
         predicted: Pose,
         part: Substeps | None = None,
     ) -> Engagement:
-        """Return where the teeth are, and what of their chips is in stock."""
+        """Engagement of the teeth: places, and shares of their chips in stock."""
         cutter, tips = process.cutter, predicted.tip
         angle, outward, place, fade = _leading_samples(process, state, tips, part)
         # Every period begins with another tooth in the same place.
@@ -180,7 +180,7 @@ class UprightFlat(AbstractEngagement):
     def element_heights(
         self, cutter: AbstractCutter, dtype: jnp.dtype
     ) -> Float[Array, " element"]:
-        """Return how far above the tip the middle of every disc is [m]."""
+        """Height of the middle of every disc above the tip [m]."""
         return self.discs.centers(dtype)
 
 

@@ -149,7 +149,7 @@ def window_of(
 
 
 class Swept(NamedTuple):
-    """What a tool does on its way through poses.
+    """Sweep of a tool along poses: stock that is left, depths, flags.
 
     Attributes:
         columns: The stock after the last pose.
@@ -197,7 +197,7 @@ def sweep(columns: Columns, test: ContactTest, samples: Samples) -> Swept:
 
 
 class _Chunk(eqx.Module):
-    """What a tool does on its way through a fixed number of poses.
+    """Sweep of a tool along a fixed number of poses.
 
     Attributes:
         ends: Ends of the rays after the last pose [m], shape (x, y, 2, slot).
@@ -267,7 +267,7 @@ def _chunk(
 def _places(
     origin: Float[Array, " 2"], spacing: float, window: Window
 ) -> tuple[Float[Array, "x y"], Float[Array, "x y"]]:
-    """Return where the rays of a window stand."""
+    """Places of the rays of a window."""
     first, size = jnp.asarray(window.first), window.size
     lines = [
         origin[a]

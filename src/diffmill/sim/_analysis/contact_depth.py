@@ -36,7 +36,7 @@ def tool_depth(
     pose: Pose,
     test: ContactTest,
 ) -> Float[Array, ""]:
-    """Return how deep the cutter is in material where its inner one meets it."""
+    """Depth of the cutter in material where its inner one meets it."""
     axis = pose.direction()
     interval = test.inner.intersect_pose(2, x, y, pose.tip + test.lift * axis, axis)
     start, stop, is_hit = (v[..., None] for v in interval)
@@ -59,7 +59,7 @@ def holder_depth(
     pose: Pose,
     test: ContactTest,
 ) -> Float[Array, ""]:
-    """Return how deep the holder is in material."""
+    """Depth of the holder in material."""
     assert test.holder is not None
     pieces = jnp.moveaxis(ends, 2, 0)
     depth = test.holder.depth_in_pieces(

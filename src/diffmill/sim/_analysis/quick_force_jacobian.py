@@ -149,7 +149,7 @@ def _chip_and_clearance(
 
 
 def _is_inside(stock: Stock, points: Float[Array, "*point 3"]) -> Bool[Array, "*point"]:
-    """Return whether the nearest ray along z holds material at the points."""
+    """True where the nearest ray along z holds material at the points."""
     ends = stock.families[2].ends
     origin = stock.origin.reshape(1, 1, 1, 3)
     place = jnp.round((points - origin) / stock.spacing).astype(jnp.int32)

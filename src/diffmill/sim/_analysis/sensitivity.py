@@ -18,7 +18,7 @@ from ..._job import Job
 from ..._types import FloatRows3
 from ...process import FrozenStock, ThroughPoses, wall_deviation, wall_shares
 from ...toolpath import contour_error, contour_vector
-from .._job.simulate import JobModel, rigid_cut
+from .._job.simulate import MachiningProblem, rigid_cut
 from .._machine.commands import JobKinematics
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ class Sensitivity(eqx.Module):
 
 
 def sensitivity(job: Job, *, commanded: FloatRows3 | None = None) -> Sensitivity:
-    """Return how much each parameter moves the tool along the path.
+    """Sensitivity of the tool's motion along the path to each parameter.
 
     The place of the work is found with the arm itself: a controller that lifts the sag
     lifts that of each stiffness.
@@ -141,7 +141,7 @@ def _path_derivatives(
     def errors(log_scale: Float[Array, " parameter"]) -> _PathDerivatives:
         scaled = job.with_scaled(log_scale)
         motors = JobKinematics(scaled).motor_positions_from_joints(joints)
-        ran = JobModel.of(scaled, ThroughPoses()).run(motors)
+        ran = MachiningProblem.of(scaled, ThroughPoses()).run(motors)
         at = desired + wall_deviation(ran.ends, desired, shares)
         return _PathDerivatives(
             ran.actual, contour_vector(at, desired), contour_error(at, desired)

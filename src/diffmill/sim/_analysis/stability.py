@@ -97,12 +97,12 @@ class Stability(eqx.Module):
 
     @property
     def is_unstable(self) -> Bool[np.ndarray, " row"]:
-        """Whether a vibration grows, shape (row,)."""
+        """True where a vibration grows, shape (row,)."""
         return self.radius > 1 + _TOLERANCE
 
     @property
     def has_chatter(self) -> Bool[np.ndarray, " row"]:
-        """Whether a vibration has the time to double there, shape (row,)."""
+        """True where a vibration has the time to double, shape (row,)."""
         return self.log_growth >= _CHATTER
 
     @property
@@ -112,7 +112,7 @@ class Stability(eqx.Module):
         return int(np.argmax(np.where(counts, self.radius, 0.0)))
 
     def warning(self) -> str | None:
-        """Return what the user must know of an unstable cut, or None."""
+        """Warning of an unstable cut, or None."""
         if not self.has_chatter.any():
             return None
         k, count = self.strongest, int(self.has_chatter.sum())
@@ -133,7 +133,7 @@ class Stability(eqx.Module):
         )
 
     def note(self) -> str:
-        """Return what is to be said of a cut without chatter."""
+        """Sentence about a cut without chatter."""
         if not self.is_unstable.any():
             return (
                 f"of {len(self.row)} rows none is unstable; the fastest growing "
@@ -149,7 +149,7 @@ class Stability(eqx.Module):
         )
 
     def visibility(self) -> str:
-        """Return which frequencies a run and its check cannot show."""
+        """Note on the frequencies that a run and its check cannot show."""
         f = self.tooth_frequency
         followed, judged = f * self.substeps / _FOLLOWED, f * self.steps / _JUDGED
         text = (
@@ -180,7 +180,7 @@ class Stability(eqx.Module):
         *,
         is_moving_cut: Bool[np.ndarray, " step"] | None = None,
     ) -> "Stability":
-        """Return how vibrations grow along a motion; see `stability`.
+        """Growth of vibrations along a motion; see `stability`.
 
         Args:
             arm: The machine; its integrator does not count.
@@ -228,7 +228,7 @@ class Stability(eqx.Module):
 
     @staticmethod
     def where_suspected(job: Job, solution: Solution) -> "Stability | None":
-        """Return how vibrations grow where a quick look finds that they may.
+        """Growth of vibrations where a quick check finds that they may grow.
 
         The quick look takes the largest lasting cross section of the chip in each of a
         few shares of the removed volume, and the slopes of its force from where the
@@ -270,7 +270,7 @@ def stability(
     *,
     rows: Sequence[int] | Int[np.ndarray, " row"] | None = None,
 ) -> Stability:
-    """Return how vibrations grow along the path of a job.
+    """Growth of vibrations along the path of a job.
 
     The removal is replayed along the simulated path, and the coupled step linearised
     at the rows. With the chip model "point_cloud" the chip of "near_far" is taken.
@@ -318,7 +318,7 @@ def stability(
 
 
 def _moving_cut(solution: Solution) -> Bool[np.ndarray, " step"]:
-    """Return where the tool cuts and the program does not nearly stand."""
+    """Rows in which the tool cuts and the program does not nearly stand."""
     return is_moving(step_lengths(solution.desired), np.asarray(solution.is_cutting))
 
 

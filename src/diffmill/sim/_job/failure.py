@@ -21,7 +21,7 @@ _TAKES_PART = 0.4
 
 
 def troubles_of(solution: "Solution", job: Job | None) -> str:
-    """Return what went wrong in a run, when, where and with which joint.
+    """Troubles of a run: kind, time, place and joint of each.
 
     Args:
         solution: The solution of a run that is not successful.
@@ -37,7 +37,7 @@ def troubles_of(solution: "Solution", job: Job | None) -> str:
 
 
 def _failed(solution: "Solution", job: Job | None) -> str:
-    """Return what went wrong in the cut, and where first."""
+    """Trouble of the cut, and its first place."""
     text = RESULTS[solution.result]
     if bool(solution.result == RESULTS.non_finite):
         numbers = np.concatenate([solution.actual, solution.force], axis=1)
@@ -52,7 +52,7 @@ def _failed(solution: "Solution", job: Job | None) -> str:
 def _vibration_text(
     solution: "Solution", is_bad: Bool[np.ndarray, " step"], job: Job | None
 ) -> str:
-    """Return how far the tool is off its path, where that is striking."""
+    """Note on a striking deviation of the tool from its path."""
     if job is None or not is_bad.any():
         return ""
     until = np.linalg.norm(solution.deviation, axis=1)[: int(np.argmax(is_bad)) + 1]
@@ -67,7 +67,7 @@ def _vibration_text(
 
 
 def _broken_joints(solution: "Solution", is_bad: Bool[np.ndarray, " step"]) -> str:
-    """Return which joints lost their numbers first, empty without a robot."""
+    """Note on the joints that lost their numbers first, empty without a robot."""
     if solution.joint_positions is None or not is_bad.any():
         return ""
     q = np.asarray(solution.joint_positions)
@@ -83,7 +83,7 @@ def _broken_joints(solution: "Solution", is_bad: Bool[np.ndarray, " step"]) -> s
 
 
 def _no_balance(job: Job | None) -> str:
-    """Return what numbers are lost by where an arm with gaps has no inertia."""
+    """Note on numbers lost where an arm with gaps has no inertia."""
     robot = None if job is None else job.robot
     if job is None or robot is None or robot.backlash is None:
         return ""
@@ -98,7 +98,7 @@ def _no_balance(job: Job | None) -> str:
 def _unreached(
     solution: "Solution", is_bad: Bool[np.ndarray, " step"], job: Job | None
 ) -> str:
-    """Return which poses are not reached, and how the arm stands at the first."""
+    """Trouble of poses that are not reached, and the arm at the first of them."""
     text = (
         f"The robot does not reach {is_bad.sum()} of the {is_bad.size} poses that are "
         f"commanded. First at {_at(solution, is_bad)}"

@@ -38,7 +38,6 @@ from .._machine.quasi_static import QuasiStaticArm
 from .._machine.rigid import Rigid
 from .failure import troubles_of
 from .intervals import with_more_intervals
-from .padding import padded_job
 
 if TYPE_CHECKING:
     import pandas
@@ -134,16 +133,16 @@ class Solution(eqx.Module):
             joints = 3 if job.robot is None else len(job.robot.joint_names)
             motors = _checked(motors, "motors", (count, joints), dtype)
         needed = _needed(adjoint, (job, rigid, commanded, motors))
-        program = JobModel.of(padded_job(job), needed)
-        steps = program.path.step_count
+        problem = MachiningProblem.padded(job, needed)
+        steps = problem.path.step_count
         tips = on_device(pad_rows(commanded, steps))
         is_reached = on_device(np.ones(steps, bool))
         if motors is not None:
             motors = on_device(pad_rows(motors, steps))
-        elif program.kinematics is not None:
-            motors, is_reached = program.kinematics.motors(tips)
-        ran, wall = _follow(program, rigid.stock, tips, motors)
-        ran = ran.finished(_remove_pending(program.process, ran.pending()))
+        elif problem.kinematics is not None:
+            motors, is_reached = problem.kinematics.motors(tips)
+        ran, wall = _follow(problem, rigid.stock, tips, motors)
+        ran = ran.finished(_remove_pending(problem.process, ran.pending()))
         ran = ran.first(count)
         wall, is_reached = first_rows((wall, is_reached), count)
         # On the host, since a device compiles these for every length.
@@ -201,7 +200,7 @@ class Solution(eqx.Module):
         return self.actual - self.desired
 
     def __repr__(self) -> str:
-        """Return what came out, in five lines."""
+        """Error, force, volume and outcome, in five lines."""
         read = (self.time, self.contour_error, self.stock.families[0].ends)
         if not has_values(*read) or is_traced(self) or self.time.ndim > 1:
             return f"Solution(rows of {getattr(self.time, 'shape', None)})"
@@ -413,24 +412,24 @@ def rigid_cut(
 
     **Differentiability**: that of `simulate_process`.
     """
-    program = JobModel.of(padded_job(job), _needed(adjoint, (job, along)))
-    count, total = job.path.step_count, program.path.step_count
-    tips = on_device(program.path.positions)
+    problem = MachiningProblem.padded(job, _needed(adjoint, (job, along)))
+    count, total = job.path.step_count, problem.path.step_count
+    tips = on_device(problem.path.positions)
     if along is not None:
         rows = jax.tree.map(lambda x: on_device(pad_rows(x, total)), along)
-        tips, program = rows.tip, dataclasses.replace(program, axes=rows.axis)
+        tips, problem = rows.tip, dataclasses.replace(problem, axes=rows.axis)
     # For what is differentiated no chips are kept.
     row = None if is_traced((job, along)) else on_device(np.asarray(chip_row, np.int32))
-    cut = _cut_along(program, tips, row)
-    cut = cut.finished(_remove_pending(program.process, cut.pending()))
+    cut = _cut_along(problem, tips, row)
+    cut = cut.finished(_remove_pending(problem.process, cut.pending()))
     if along is None:
         cut = dataclasses.replace(cut, instantaneous_force=None, chips=None)
         if job.cutter.has_runout:
-            # The same program, of a cutter that runs true.
+            # The same cut, of a cutter that runs true.
             runout = lambda p: p.process.cutter.runout
-            program = eqx.tree_at(runout, program, replace_fn=jnp.zeros_like)
-            pending = _cut_along(program, tips, row).pending()
-            true = _remove_pending(program.process, pending)
+            problem = eqx.tree_at(runout, problem, replace_fn=jnp.zeros_like)
+            pending = _cut_along(problem, tips, row).pending()
+            true = _remove_pending(problem.process, pending)
             is_good = cut.result == RESULTS.successful
             result = RESULTS.where(is_good, true.result, cut.result)
             nominal = lambda run: (run.removal.stock, run.removal.result)
@@ -438,8 +437,10 @@ def rigid_cut(
     return cut.first(count)
 
 
-class JobModel(eqx.Module):
-    """What a compiled program sees of a job: numbers alone, none of them static.
+class MachiningProblem(eqx.Module):
+    """A job as compiled programs see it: numbers alone, none of them static.
+
+    What stands only in its file, and what others do with its results, is left out.
 
     Attributes:
         process: The process.
@@ -458,8 +459,8 @@ class JobModel(eqx.Module):
     kinematics: JobKinematics | None
 
     @classmethod
-    def of(cls, job: Job, derivative: AbstractAdjoint) -> "JobModel":
-        """Return the model of a job, sizes taken on the host.
+    def of(cls, job: Job, derivative: AbstractAdjoint) -> "MachiningProblem":
+        """The problem of a job, sizes taken on the host.
 
         Args:
             job: The job, in its precision.
@@ -476,6 +477,20 @@ class JobModel(eqx.Module):
             job.tool_axes,
             None if job.is_rigid else JobKinematics(job),
         )
+
+    @classmethod
+    def padded(cls, job: Job, derivative: AbstractAdjoint) -> "MachiningProblem":
+        """The problem of a job with its path padded to one of few lengths.
+
+        A compiled program serves arrays of one shape: a path that is one row longer
+        would be compiled anew. Rows behind the last one are not simulated
+        (`diffmill/_padding.py`). A path that is traced stays as it is.
+
+        Arguments as of `of`.
+        """
+        if not is_traced(job.path.positions):
+            job = dataclasses.replace(job, path=job.path.padded())
+        return cls.of(job, derivative)
 
     def run(self, motors: Float[Array, "step joint"]) -> Run:
         """Run the machine for given motor positions.
@@ -494,7 +509,7 @@ class JobModel(eqx.Module):
 
 @CachedJit
 def _cut_along(
-    program: JobModel,
+    problem: MachiningProblem,
     positions: Float[Array, "step 3"],
     chip_row: Int[Array, ""] | None,
 ) -> Run:
@@ -503,9 +518,9 @@ def _cut_along(
     With the force at every angle and the chips of a revolution, for figures, since
     another program without them would be compiled beside this one.
     """
-    path = Pose.along(positions, program.axes)
+    path = Pose.along(positions, problem.axes)
     machine = Rigid(keeps_instantaneous=True, chip_row=chip_row)
-    return machine.run_rows(program.process, path, program.path.row_count)
+    return machine.run_rows(problem.process, path, problem.path.row_count)
 
 
 @CachedJit
@@ -532,7 +547,7 @@ class _Wall(eqx.Module):
 
 @CachedJit
 def _follow(
-    program: JobModel,
+    problem: MachiningProblem,
     finished: Stock,
     tips: Float[Array, "step 3"],
     motors: Float[Array, "step joint"] | None,
@@ -540,24 +555,24 @@ def _follow(
     """Run of a command, but for its pending removals, against what a rigid cut leaves.
 
     Args:
-        program: The program.
+        problem: The problem.
         finished: Stock that the rigid cut leaves.
         tips: Commanded tips [m], shape (step, 3).
         motors: The motors' positions for them; None for a rigid machine.
     """
-    path, process = program.path, program.process
+    path, process = problem.path, problem.process
     desired = jnp.asarray(path.positions)
-    if program.machine is None:
+    if problem.machine is None:
         # A rigid machine goes where it is told.
-        ran, ends = _cut_along(program, tips, None), tips[:, None]
+        ran, ends = _cut_along(problem, tips, None), tips[:, None]
         ran = dataclasses.replace(ran, instantaneous_force=None, chips=None)
     else:
         assert motors is not None
-        if program.controller is not None:
-            motors = program.controller.motors(motors, process.tooth_period)
-        ran = program.machine.run_rows(process, motors, path.row_count)
+        if problem.controller is not None:
+            motors = problem.controller.motors(motors, process.tooth_period)
+        ran = problem.machine.run_rows(process, motors, path.row_count)
         ends = ran.ends
-    share = wall_shares(desired, program.axes, process.cutter, finished)
+    share = wall_shares(desired, problem.axes, process.cutter, finished)
     deviation = wall_deviation(ends, desired, share)
     error = contour_error(desired + deviation, desired)
     is_arm = ran.joint_positions is not None
@@ -565,7 +580,7 @@ def _follow(
 
 
 def _needed(adjoint: AbstractAdjoint, arguments: object) -> AbstractAdjoint:
-    """Return how a run differentiates; one alone, if nothing is differentiated.
+    """Adjoint of a run: one and the same, if nothing is differentiated.
 
     So a run that is compiled for one method serves all others.
     """
@@ -576,8 +591,8 @@ def _prepare(job: Job) -> None:
     """Compile the run of a command while the rigid cut is compiled and runs."""
     if job.is_rigid:
         return
-    program = JobModel.of(padded_job(job), FrozenStock())
-    steps, dtype = program.path.step_count, np.dtype(job.simulation.precision)
+    problem = MachiningProblem.padded(job, FrozenStock())
+    steps, dtype = problem.path.step_count, np.dtype(job.simulation.precision)
     joints = 3 if job.robot is None else len(job.robot.joint_names)
     tips, motors = (on_device(np.zeros((steps, n), dtype)) for n in (3, joints))
-    _follow.prepare(program, program.process.stock, tips, motors)
+    _follow.prepare(problem, problem.process.stock, tips, motors)

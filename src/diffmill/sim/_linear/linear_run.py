@@ -139,7 +139,7 @@ class LinearRun(eqx.Module):
         motors: Float[Array, "step joint direction"],
         parameters: Float[Array, "parameter direction"] | None = None,
     ) -> RunChange:
-        """Return how the run changes with its motors and parameters.
+        """Change of the run with its motors and parameters.
 
         Args:
             motors: Changes of the motor positions [rad or m], shape (step, joint,
@@ -172,7 +172,7 @@ class LinearRun(eqx.Module):
         motors: Float[Array, "step joint direction"],
         shares: Float[Array, " step"],
     ) -> WallChange:
-        """Return how the tips change at the instants at which walls are made.
+        """Change of the tips at the instants at which walls are made.
 
         What `move` says of them, for less: it begins where the motors first change, and
         keeps of each period one tip instead of all.
@@ -258,7 +258,7 @@ class LinearRun(eqx.Module):
     ) -> tuple[
         Float[Array, "step joint direction"], Float[Array, "parameter direction"]
     ]:
-        """Return what weighted sums of the run's changes follow from.
+        """Gradient of weighted sums of the run's changes (vector-Jacobian product).
 
         The transpose of `move`, by one recurrence from the last period to the first.
 
@@ -290,7 +290,7 @@ class LinearRun(eqx.Module):
         motors: Float[Array, "step joint"],
         parameter_count: int = 0,
     ) -> int:
-        """Return how much memory the system of a run takes, before it is run [byte].
+        """Memory that the system of a run takes, before it is run [byte].
 
         Arguments as of `linearise`; of the motors only the shape counts.
         """
@@ -312,7 +312,7 @@ class LinearRun(eqx.Module):
 
 
 class _PeriodJacobians(NamedTuple):
-    """What a period leaves for its linear system.
+    """Outputs, loads and force of a period, for its linear system.
 
     Attributes:
         out: What the run gives out.
@@ -440,7 +440,7 @@ def _in_batches(rows: Shaped[Array, " period *any"]) -> Shaped[Array, "..."]:
 def prediction(
     engagement: AbstractEngagement,
 ) -> Float[np.ndarray, "substep substep"]:
-    """Return how the poses that are looked up follow the tips of the period so far.
+    """Weights of the tips of the period so far in the poses that are looked up.
 
     They are those of the period before, and the way that the tool has moved since or,
     after the first look-up of a period, the way that it is off, extrapolated.

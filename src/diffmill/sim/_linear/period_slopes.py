@@ -148,7 +148,7 @@ def as_poses(rows: Float[Array, "*pose component"]) -> Pose:
 
 
 class PeriodForce(eqx.Module):
-    """What the slopes of a period's loads follow from.
+    """Edges and poses from which the slopes of a period's loads follow.
 
     Attributes:
         samples: The numbers of its edges that follow the poses.
@@ -204,7 +204,7 @@ def engagement_with_slopes(
 def period_force(
     process: Process, state: ProcessState, cut: Engagement, middles: Pose
 ) -> PeriodForce:
-    """Return what the slopes of a period's loads follow from.
+    """Edges and poses from which the slopes of a period's loads follow.
 
     Args:
         process: The process.

@@ -75,7 +75,7 @@ class StaticDeflection(eqx.Module):
         return self.motors - self.robot.drive_deflection(self.torque(load))
 
     def torque(self, load: Float[Array, " load"]) -> Float[Array, " joint"]:
-        """Return what the gears carry under a load [N m or N]."""
+        """Torque that the gears carry under a load [N m or N]."""
         return self.gravity - self.jacobian.T @ load
 
     def balance(self, load: Float[Array, " load"]) -> StaticEquilibrium:

@@ -95,7 +95,7 @@ class JobKinematics(eqx.Module):
         return self.arm
 
     def solve(self, commanded: Float[Array, "step 3"]) -> JointSolution:
-        """Return what inverse kinematics finds for tip positions, as `joints`."""
+        """Solution of inverse kinematics for tip positions, as `joints`."""
         robot = self.robot
         axes, tool_x = self.tool_axes, self.tool_x
         start = (
@@ -184,7 +184,7 @@ class JobKinematics(eqx.Module):
         joints: Float[Array, "step joint"],
         commanded: Float[Array, "step 3"] | None = None,
     ) -> Float[Array, "step joint axis"]:
-        """Return how the motors of each row change with its command.
+        """Slopes of the motors of each row in its command.
 
         Args:
             joints: Commanded joint positions [rad or m], shape (step, joint).

@@ -117,7 +117,7 @@ class Period(eqx.Module):
 
 
 class AbstractMachine(eqx.Module):
-    """What moves the tool along a command, and how compliant it is."""
+    """Machine: it moves the tool along a command, compliant or rigid."""
 
     @abc.abstractmethod
     def begin(self, process: Process, command: PyTree) -> PyTree:
@@ -132,7 +132,7 @@ class AbstractMachine(eqx.Module):
     def rows(
         self, process: Process, command: PyTree, row_count: IntScalar | None
     ) -> PyTree:
-        """Return what every period needs of the command, a tree with an axis period.
+        """Command of every period, a tree with an axis period.
 
         Args:
             process: The process.
@@ -149,7 +149,7 @@ class AbstractMachine(eqx.Module):
         """Return the joint positions [rad or m], None without joints."""
 
     def chips(self, state: PyTree) -> TurnChips | None:
-        """Return what the teeth met in the periods that are kept, None for none."""
+        """Chips of the teeth in the periods that are kept, None for none."""
         del state
 
     @abc.abstractmethod
@@ -400,7 +400,7 @@ class Run(eqx.Module):
 
     @property
     def has_failed(self) -> Bool[Array, " step"]:
-        """Whether a flag was up after each step, shape (step,)."""
+        """True where a flag was up after a step, shape (step,)."""
         return self._finished().has_failed
 
     @property

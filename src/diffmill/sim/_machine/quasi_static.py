@@ -163,7 +163,7 @@ class QuasiStaticArm(AbstractCompliant):
     def _deflection(
         self, process: Process, start: StaticEquilibrium, row: CommandRow
     ) -> StaticDeflection:
-        """Return how the arm bends in a period, from its start and the motors."""
+        """Deflection of the arm in a period, from its start and the motors."""
         # The end is near to the start moved along with the motors: linear from there.
         near = start.q + row.stop - row.start
         found = self._linear(process, near)
@@ -179,7 +179,7 @@ class QuasiStaticArm(AbstractCompliant):
 
 
 class _Linear(NamedTuple):
-    """What an arm's bend starts from.
+    """Pose, Jacobian and gravity of an arm, from which its deflection is linear.
 
     Attributes:
         pose: Of the tool in `work`.

@@ -145,7 +145,7 @@ def servo_torque(
     theta: Float[Array, " joint"],
     omega: Float[Array, " joint"],
 ) -> Float[Array, " joint"]:
-    """Return what the servos do to the motors."""
+    """Torque of the servos on the motors."""
     motors = robot.motors
     assert motors is not None
     away, rate = command.position - theta, command.rate - omega
@@ -205,7 +205,7 @@ def constant_command_rate(
 def _drive(
     robot: Robot, state: ArmState, command: MotorCommand
 ) -> tuple[Float[Array, " joint"], Float[Array, " joint"] | None]:
-    """Return what gears and friction do to the joints, and the motors' acceleration."""
+    """Torque of gears and friction on the joints, and the motors' acceleration."""
     theta, omega = command.position, command.rate
     if robot.motors is not None:
         assert state.theta is not None and state.omega is not None
