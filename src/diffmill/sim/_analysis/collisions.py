@@ -5,7 +5,7 @@ way: what is found is in the stock as it is at that time. The shank above the fl
 removes what it meets, as in the simulation, whose `shank_volume` reports it.
 """
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import equinox as eqx
 import numpy as np
@@ -102,31 +102,16 @@ class ToolContacts(eqx.Module):
         """
         tips = np.asarray(path.positions if positions is None else positions, float)
         finest = _FINEST * cutter.nominal_radius
-        slot_count = 1 if _stands_upright(path) else _SLOTS
+        is_upright = np.allclose(path.axes, [0.0, 0.0, 1.0], atol=1e-9)
+        slot_count = 1 if is_upright else _SLOTS
         while True:
             columns = columns_of(stock, finest, slot_count)
-            found = _depths(path, tips, columns, cutter, holder, checks_rapids)
+            depths, has_overflow = _depths(
+                path, tips, columns, cutter, holder, checks_rapids
+            )
             slot_count = 2 * columns.ends.shape[-1]
-            if not found.has_overflow or slot_count > _MOST_SLOTS:
-                rapid, held, part = found.values
-                return ToolContacts(rapid, held, part, columns.spacing)
-
-
-def _stands_upright(path: Path) -> bool:
-    return bool(np.allclose(path.axes, [0.0, 0.0, 1.0], atol=1e-9))
-
-
-class _Depths(NamedTuple):
-    """Depths at each pose.
-
-    Attributes:
-        values: Of the tool, of the holder, and of it in what is left [m], shape
-            (3, pose).
-        has_overflow: Whether a ray ran out of slots.
-    """
-
-    values: Float[np.ndarray, "3 pose"]
-    has_overflow: bool
+            if not has_overflow or slot_count > _MOST_SLOTS:
+                return ToolContacts(*depths, columns.spacing)
 
 
 def _depths(
@@ -136,12 +121,13 @@ def _depths(
     cutter: AbstractCutter,
     holder: ToolHolder | None,
     checks_rapids: bool,
-) -> _Depths:
-    """Return the depths at the rows of a path."""
+) -> tuple[Float[np.ndarray, "3 step"], bool]:
+    """Depths at the rows of a path, and whether a ray ran out of slots.
+
+    The depths are those of the tool, of the holder, and of it in what is left [m].
+    """
     d = columns.spacing
-    axes = np.asarray(path.axes, float)
-    passed = _between_rows(tips, axes, holder, d)
-    row, tip, axis = passed.row, passed.tip, passed.axis
+    row, tip, axis = _between_rows(tips, np.asarray(path.axes, float), holder, d)
     # The first row is one that the tool has come to, not one that it cuts.
     is_rapid = np.asarray(path.is_rapid)[row] | (row == 0)
     bounds = columns.bounds()
@@ -154,8 +140,11 @@ def _depths(
         holder_box = _reach(foot, axis, holder.radius, holder.length, bounds)
         is_held = _overlaps(holder_box, bounds)
         # Between two looks the holder moves by half a spacing at most.
-        travel = _travel(tip, axis, holder)
-        is_looked = is_held & _every(travel, d / 2, np.asarray(path.line)[row], is_held)
+        travel, line = _travel(tip, axis, holder), np.asarray(path.line)[row]
+        is_next = np.diff(np.floor(2 * travel / d), prepend=-1) > 0
+        # Ends of lines too, and the first sample near the stock.
+        is_next[:-1] |= line[1:] != line[:-1]
+        is_looked = is_held & (is_next | ~np.roll(is_held, 1))
     is_tool = is_near & is_rapid & checks_rapids
     samples = Samples(
         tip,
@@ -170,20 +159,21 @@ def _depths(
     depths = np.zeros((3, len(tips)))
     is_full = False
     if is_tool.any() or is_looked.any():
-        inner = _smaller(cutter, d)
-        test = ContactTest(cutter, inner.cutter, inner.lift, holder, _TOUCH * d)
-        swept = _swept(columns, test, samples)
-        found, is_full = swept.values, swept.has_overflow
-        # A row where it was not looked for has what was found just before.
+        inner, lift = _inner_cutter(cutter, d)
+        test = ContactTest(cutter, inner, lift, holder, _TOUCH * d)
+        sampled, is_full = _sampled_depths(columns, test, samples)
+        # A sample where it was not looked for has the depths of the last before.
         last = np.maximum.accumulate(np.where(is_looked, np.arange(len(row)), 0))
-        found[1:] = found[1:, last] * is_held[None]
-        for depth, values in zip(depths, found, strict=True):
+        sampled[1:] = sampled[1:, last] * is_held[None]
+        for depth, values in zip(depths, sampled, strict=True):
             np.maximum.at(depth, row, values)
-    return _Depths(depths, is_full)
+    return depths, is_full
 
 
-def _swept(columns: Columns, test: ContactTest, samples: Samples) -> _Depths:
-    """Return the depths at samples."""
+def _sampled_depths(
+    columns: Columns, test: ContactTest, samples: Samples
+) -> tuple[Float[np.ndarray, "3 sample"], bool]:
+    """Depths at samples, as `_depths`."""
     depths = np.zeros((3, len(samples.tip)))
     used = samples.is_cut | samples.is_tool | samples.is_holder
     swept = sweep(columns, test, samples[used])
@@ -196,21 +186,7 @@ def _swept(columns: Columns, test: ContactTest, samples: Samples) -> _Depths:
             lambda s: (s.is_cut, s.is_tool), samples[again], (none, none)
         )
         depths[2, again] = sweep(swept.columns, test, left).holder
-    return _Depths(depths, swept.has_overflow)
-
-
-class _Passed(NamedTuple):
-    """Poses that a tool passes, at most a spacing apart.
-
-    Attributes:
-        row: The row that each leads to, shape (sample,).
-        tip: Tool tips [m], shape (sample, 3).
-        axis: Tool axes, shape (sample, 3).
-    """
-
-    row: Int[np.ndarray, " sample"]
-    tip: Float[np.ndarray, "sample 3"]
-    axis: Float[np.ndarray, "sample 3"]
+    return depths, swept.has_overflow
 
 
 def _between_rows(
@@ -218,8 +194,16 @@ def _between_rows(
     axes: Float[np.ndarray, "step 3"],
     holder: ToolHolder | None,
     spacing: float,
-) -> _Passed:
-    """Return the poses that a tool passes from row to row."""
+) -> tuple[
+    Int[np.ndarray, " sample"],
+    Float[np.ndarray, "sample 3"],
+    Float[np.ndarray, "sample 3"],
+]:
+    """Poses of a tool on its way from row to row, at most a spacing apart.
+
+    Returns:
+        The row that each leads to, tips [m] and axes.
+    """
     moves = np.diff(_travel(tips, axes, holder))
     pieces = np.ceil(moves / spacing - 1e-9).astype(int)
     pieces = np.concatenate([[1], np.maximum(pieces, 1)])
@@ -229,7 +213,7 @@ def _between_rows(
     before = np.maximum(row - 1, 0)
     tip = tips[before] + share * (tips[row] - tips[before])
     axis = axes[before] + share * (axes[row] - axes[before])
-    return _Passed(row, tip, axis / np.linalg.norm(axis, axis=1, keepdims=True))
+    return row, tip, axis / np.linalg.norm(axis, axis=1, keepdims=True)
 
 
 def _travel(
@@ -237,23 +221,11 @@ def _travel(
     axis: Float[np.ndarray, "pose 3"],
     holder: ToolHolder | None,
 ) -> Float[np.ndarray, " pose"]:
-    """Return by how much no point of tool and holder has moved more, from the start."""
+    """Travel from the start that no point of tool and holder exceeds [m]."""
     reach = 0.0 if holder is None else holder.overhang + holder.length
     steps = np.linalg.norm(np.diff(tip, axis=0), axis=1)
     steps += reach * np.linalg.norm(np.diff(axis, axis=0), axis=1)
     return np.concatenate([[0.0], np.cumsum(steps)])
-
-
-def _every(
-    travel: Float[np.ndarray, " sample"],
-    distance: float,
-    line: Int[np.ndarray, " sample"],
-    is_wanted: Bool[np.ndarray, " sample"],
-) -> Bool[np.ndarray, " sample"]:
-    """Return samples a distance apart, ends of lines, and where one is wanted first."""
-    is_next = np.diff(np.floor(travel / distance), prepend=-1) > 0
-    is_next[:-1] |= line[1:] != line[:-1]
-    return is_next | (is_wanted & ~np.roll(is_wanted, 1))
 
 
 def _reach(
@@ -263,7 +235,7 @@ def _reach(
     length: float,
     block: Box,
 ) -> Box:
-    """Return boxes around what of a cylinder can be in a block, above it not."""
+    """Boxes around the part of a cylinder that can be in a block, none above it."""
     low, high = block
     far = np.linalg.norm(np.maximum(np.abs(foot - low), np.abs(high - foot)), axis=1)
     across = radius * np.sqrt(np.maximum(1 - axis**2, 0))
@@ -278,19 +250,15 @@ def _overlaps(box: Box, block: Box) -> Bool[np.ndarray, " sample"]:
     return np.all((box.low < block.high) & (box.high > block.low), axis=1)
 
 
-class _InnerCutter(NamedTuple):
-    """A cutter inside another, and how far its tip is above the other's [m]."""
-
-    cutter: AbstractCutter
-    lift: float
-
-
-def _smaller(cutter: AbstractCutter, margin: float) -> _InnerCutter:
+def _inner_cutter(
+    cutter: AbstractCutter, margin: float
+) -> tuple[AbstractCutter, float]:
+    """Cutter inside another by a margin, and its tip's height above the other's [m]."""
     R, rc = cutter.nominal_radius, cutter.nominal_corner_radius
     radius = max(R - margin, R / 2)
     diameter, teeth = 2 * radius, cutter.flute_count
     if rc == 0:
-        return _InnerCutter(flat_end_mill(diameter, teeth), 0.0)
+        return flat_end_mill(diameter, teeth), 0.0
     if rc >= R:
-        return _InnerCutter(ball_end_mill(diameter, teeth), R - radius)
-    return _InnerCutter(bull_nose(diameter, teeth, min(rc, 0.99 * radius)), 0.0)
+        return ball_end_mill(diameter, teeth), R - radius
+    return bull_nose(diameter, teeth, min(rc, 0.99 * radius)), 0.0

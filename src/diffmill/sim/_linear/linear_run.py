@@ -409,7 +409,7 @@ def linearise(
 
     _, arms = scan_rows(slopes, None, around.arm, is_live)
     solve = functools.partial(_solved, process, motors.shape[1])
-    system = jax.vmap(solve)(around.force, arms)
+    loads, arm, pose = jax.vmap(solve)(around.force, arms)
 
     def begun(head: Float[Array, "row joint"], parameters: Array) -> Array:
         machine, process = model.scaled(parameters)
@@ -421,9 +421,9 @@ def linearise(
     return LinearRun(
         ends=all_ends(around.out),
         force=prepend_zeros(around.out.force),
-        loads=system.loads,
-        arm=system.arm,
-        pose=system.pose,
+        loads=loads,
+        arm=arm,
+        pose=pose,
         circles=jnp.maximum(around.force.circles - (first - 1), -1),
         begin=head if state is None else jnp.zeros_like(head),
         periods=process.cutter.flute_count,
@@ -453,18 +453,12 @@ def prediction(
     return rows
 
 
-class _PeriodSystem(NamedTuple):
-    """The linear system of one period, its parts as in `LinearRun`."""
-
-    loads: Float[Array, "load cause"]
-    arm: Float[Array, "output input"]
-    pose: Float[Array, "pose state"]
-
-
 def _solved(
     process: Process, joints: int, force: ForceSlopes, arm: ArmSlopes
-) -> _PeriodSystem:
-    """Return the system of one period, its loads eliminated."""
+) -> tuple[
+    Float[Array, "load cause"], Float[Array, "output input"], Float[Array, "pose state"]
+]:
+    """System of one period with its loads eliminated: `loads`, `arm`, `pose`."""
     engagement, T = process.engagement, process.cutter.flute_count
     S, l, d = force.now.shape
     n, m = arm.end.shape[0], 2 * joints
@@ -523,4 +517,4 @@ def _solved(
     else:
         loads = jnp.linalg.solve(stiff, right)
     out = [arm.end, arm.middles.reshape(-1, inputs), arm.ends.reshape(-1, inputs)]
-    return _PeriodSystem(loads, jnp.concatenate(out), P)
+    return loads, jnp.concatenate(out), P

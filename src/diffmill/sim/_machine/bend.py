@@ -27,7 +27,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float
 
 from ...robot import Robot
 from ...workpiece import Pose
@@ -148,38 +148,32 @@ def balance_with_gaps(bend: StaticDeflection, load_of: _LoadOfTip) -> StaticEqui
     def excess(q: Array) -> Array:
         return _Excess.of(bend, q, load_of(bend.tip(q))).springs
 
-    def goes_on(found: _Search) -> Array:
+    def goes_on(search):
+        _, size, count = search
         # NaN is no size to go on from.
-        return (found.size > limit) & (found.steps < _MOST_STEPS)
+        return (size > limit) & (count < _MOST_STEPS)
 
-    def step(found: _Search) -> _Search:
+    def step(search):
+        q, _, count = search
         # One pass gives value and slope: the load beside each column is the same.
-        value_and_slope = lambda way: jax.jvp(load_of, (bend.tip(found.q),), (way,))
+        value_and_slope = lambda way: jax.jvp(load_of, (bend.tip(q),), (way,))
         loads, columns = jax.vmap(value_and_slope)(ways)
-        here = _Excess.of(bend, found.q, loads[0])
-        move = here.step(bend, columns.T, found.steps < _PLAIN_STEPS)
-        return _Search(found.q + move, jnp.max(jnp.abs(move)), found.steps + 1)
+        here = _Excess.of(bend, q, loads[0])
+        move = here.step(bend, columns.T, count < _PLAIN_STEPS)
+        return q + move, jnp.max(jnp.abs(move)), count + 1
 
     def search(_: Callable[..., Array], near: Array) -> Array:
-        begun = _Search(near, jnp.full((), jnp.inf, dtype), jnp.zeros((), jnp.int32))
-        ended = jax.lax.while_loop(goes_on, step, begun)
-        return jnp.where(ended.size <= limit, ended.q, jnp.nan)
+        begun = near, jnp.full((), jnp.inf, dtype), jnp.zeros((), jnp.int32)
+        q, size, _ = jax.lax.while_loop(goes_on, step, begun)
+        return jnp.where(size <= limit, q, jnp.nan)
 
     solve = lambda slope, y: jnp.linalg.solve(jax.vmap(slope)(eye).T, y)
     q = jax.lax.custom_root(excess, bend.near, search, solve)
     return bend.balance_at(q, load_of(bend.tip(q)))
 
 
-class _Search(NamedTuple):
-    """Joints in the search of a balance, the last step to them, and steps so far."""
-
-    q: Float[Array, " joint"]
-    size: Float[Array, ""]
-    steps: Int[Array, ""]
-
-
 class _Excess(NamedTuple):
-    """By how much springs are stretched more than their torques say.
+    """Stretch of the springs beyond that of their torques.
 
     Attributes:
         springs: The excess [rad or m], shape (joint,).

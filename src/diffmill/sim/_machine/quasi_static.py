@@ -20,8 +20,6 @@ What a real arm adds is left out: swinging at corners, forced vibration and chat
 Derivatives are those of the balance, whatever the steps to it.
 """
 
-from typing import NamedTuple
-
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -65,10 +63,8 @@ class QuasiStaticArm(AbstractCompliant):
     ) -> StaticEquilibrium:
         """Return the balance with gravity at the first instant."""
         q = loaded_equilibrium(self.robot, command[0])
-        near = self._linear(process, q)
-        return StaticEquilibrium(
-            q, near.pose, jnp.zeros(near.jacobian.shape[0], command.dtype)
-        )
+        pose, jacobian, _ = self._linear(process, q)
+        return StaticEquilibrium(q, pose, jnp.zeros(len(jacobian), command.dtype))
 
     def pose(self, process: Process, state: StaticEquilibrium) -> Pose:
         """Return the tool's pose in `work`."""
@@ -166,27 +162,16 @@ class QuasiStaticArm(AbstractCompliant):
         """Deflection of the arm in a period, from its start and the motors."""
         # The end is near to the start moved along with the motors: linear from there.
         near = start.q + row.stop - row.start
-        found = self._linear(process, near)
-        return StaticDeflection(self.robot, start.pose.tip, near, row.stop, *found)
+        linear = self._linear(process, near)
+        return StaticDeflection(self.robot, start.pose.tip, near, row.stop, *linear)
 
-    def _linear(self, process: Process, q: Float[Array, " joint"]) -> "_Linear":
+    def _linear(
+        self, process: Process, q: Float[Array, " joint"]
+    ) -> tuple[Pose, Float[Array, "load joint"], Float[Array, " joint"]]:
+        """Pose of the tool in `work`, Jacobian of its tip there, torques of gravity."""
         terms = ArmTerms.of_state(self.robot, q, jnp.zeros_like(q))
         J = jacobian_in_work(self.T_base_work, terms.jacobian)
         is_upright = process.engagement.is_upright
         pose = in_work(self.T_base_work, terms.T_base_tool, is_upright)
         # Only on a bending tool the height at which a force acts counts for anything.
-        return _Linear(pose, J[: self.load_count], terms.bias_forces)
-
-
-class _Linear(NamedTuple):
-    """Pose, Jacobian and gravity of an arm, from which its deflection is linear.
-
-    Attributes:
-        pose: Of the tool in `work`.
-        jacobian: Of its tip in `work`, shape (load, joint).
-        gravity: Torques of gravity [N m or N], shape (joint,).
-    """
-
-    pose: Pose
-    jacobian: Float[Array, "load joint"]
-    gravity: Float[Array, " joint"]
+        return pose, J[: self.load_count], terms.bias_forces
