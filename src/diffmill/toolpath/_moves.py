@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from collections.abc import Iterable
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -275,15 +276,15 @@ class Program:
         axes, lines = np.asarray(path.axes).tolist(), np.asarray(path.line).tolist()
         sides = [None] * len(lines)
         if path.tool_x is not None:
-            sides = [_point(row) for row in np.asarray(path.tool_x).tolist()]
-        start = _point(points[0])
+            sides = [point_of(row) for row in np.asarray(path.tool_x).tolist()]
+        start = point_of(points[0])
         first = Move((0.0, 0.0, 0.0), start, is_rapid=True, line=lines[0])
-        moves = [first._replace(axis=_point(axes[0]), tool_x=sides[0])]
+        moves = [first._replace(axis=point_of(axes[0]), tool_x=sides[0])]
         durations = np.diff(time).tolist()
         for row, duration in enumerate(durations, 1):
-            end = _point(points[row])
+            end = point_of(points[row])
             move = Move(start, end, duration=duration, line=lines[row])
-            moves.append(move._replace(axis=_point(axes[row]), tool_x=sides[row]))
+            moves.append(move._replace(axis=point_of(axes[row]), tool_x=sides[row]))
             start = end
         return cls(tuple(moves), approach_count=1, name=name)
 
@@ -294,13 +295,13 @@ class Program:
 
     @property
     def is_upright(self) -> bool:
-        """Whether the tool axis is +z after every move, to 1e-4."""
+        """True if the tool axis is +z after every move, to 1e-4."""
         axes = [move.axis for move in self.moves]
         return stand_upright(np.reshape(np.array(axes, np.float64), (-1, 3)))
 
     @property
     def states_rotation(self) -> bool:
-        """Whether every move states the rotation about the tool axis."""
+        """True if every move states the rotation about the tool axis."""
         return all(move.tool_x is not None for move in self.moves)
 
     def without_rotation(self) -> "Program":
@@ -317,7 +318,13 @@ class Program:
         moves = self.moves[self.approach_count :]
         if not any(move.rest for move in moves):
             return moves
-        return tuple(one for move in moves for one in _split_dwell(move))
+        out = []
+        for move in moves:
+            out.append(move._replace(rest=0.0))
+            if move.rest:
+                dwell = Move(move.end, move.end, duration=move.rest, line=move.line)
+                out.append(dwell._replace(axis=move.axis, tool_x=move.tool_x))
+        return tuple(out)
 
     @property
     def path_length(self) -> float:
@@ -330,7 +337,7 @@ class Program:
         return tuple(dict.fromkeys(part.tool for part in self.sections)) or (None,)
 
     def cuts(self, tool: int | None) -> bool:
-        """Return whether a tool makes a move at a feed."""
+        """True if a tool makes a move at a feed."""
         if not self.sections:
             return any(not move.is_rapid for move in self.moves)
         return any(
@@ -385,9 +392,9 @@ class Program:
         )
 
 
-def _point(values: list[float]) -> Point:
-    """Return three numbers as a point."""
-    x, y, z = values
+def point_of(values: Iterable[float]) -> Point:
+    """Point of three numbers, an array's as plain ones."""
+    x, y, z = values.tolist() if isinstance(values, np.ndarray) else values
     return x, y, z
 
 
@@ -397,11 +404,3 @@ def _across(point: Point, centre: Point, normal: Point) -> Point:
     u, v, w = normal
     along = u * x + v * y + w * z
     return x - along * u, y - along * v, z - along * w
-
-
-def _split_dwell(move: Move) -> tuple[Move, ...]:
-    """Return a move, and the rest at its end as another one."""
-    if not move.rest:
-        return (move,)
-    rest = Move(move.end, move.end, duration=move.rest, line=move.line, axis=move.axis)
-    return move._replace(rest=0.0), rest._replace(tool_x=move.tool_x)

@@ -1,7 +1,5 @@
 """A path travelled with a feed override, on the host."""
 
-from typing import NamedTuple
-
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -10,6 +8,8 @@ from jaxtyping import Array, Float
 from .._types import RealScalarLike
 from ._path import Path
 from ._path_feed import SAME_INSTANT, Override, PathFeed, checked_override
+
+Rows3 = Float[Array, "row 3"]
 
 
 def retime(
@@ -49,37 +49,23 @@ def retime(
             f"Argument `step_count` must be at least {count}, but is {step_count}."
         )
     count = step_count or count
-    poses = _poses(feed, jnp.asarray(values), count)
-    rows = np.ceil(np.asarray(poses.places) - SAME_INSTANT).astype(np.int32)
+    places, tips, axes, tool_x = _poses(feed, jnp.asarray(values), count)
+    rows = np.ceil(np.asarray(places) - SAME_INSTANT).astype(np.int32)
     start = float(path.time[0])
     return Path(
         time=start + feed.period * np.arange(count),
-        positions=np.asarray(poses.tips),
-        axes=np.asarray(poses.axes),
+        positions=np.asarray(tips),
+        axes=np.asarray(axes),
         is_rapid=np.asarray(path.is_rapid)[rows],
         line=np.asarray(path.line)[rows],
-        tool_x=None if poses.tool_x is None else np.asarray(poses.tool_x),
+        tool_x=None if tool_x is None else np.asarray(tool_x),
     )
 
 
-class _Poses(NamedTuple):
-    """Poses at the tooth instants.
-
-    Attributes:
-        places: Rows of the path, and parts of a row, shape (row,).
-        tips: Tool tips [m], shape (row, 3).
-        axes: Tool axes, shape (row, 3).
-        tool_x: X of the tool, shape (row, 3); None where the path states none.
-    """
-
-    places: Float[Array, " row"]
-    tips: Float[Array, "row 3"]
-    axes: Float[Array, "row 3"]
-    tool_x: Float[Array, "row 3"] | None
-
-
 @eqx.filter_jit
-def _poses(feed: PathFeed, override: Float[Array, " knot"], step_count: int) -> _Poses:
+def _poses(
+    feed: PathFeed, override: Float[Array, " knot"], step_count: int
+) -> tuple[Float[Array, " row"], Rows3, Rows3, Rows3 | None]:
+    """Places in rows, tool tips [m], axes and x of the tool at the tooth instants."""
     places = feed.places(override, step_count)
-    turned = feed.axes(places), feed.tool_x(places)
-    return _Poses(places, feed.positions(places), *turned)
+    return places, feed.positions(places), feed.axes(places), feed.tool_x(places)

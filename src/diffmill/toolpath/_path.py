@@ -85,7 +85,7 @@ class Path(eqx.Module):
 
     @property
     def is_upright(self) -> bool:
-        """Whether the tool axis is +z at every row, to 1e-4.
+        """True if the tool axis is +z at every row, to 1e-4.
 
         **Differentiability**: none.
         """
@@ -93,7 +93,7 @@ class Path(eqx.Module):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What is worth knowing of a recorded path, a sentence each.
+        """Warnings about a recorded path, a sentence each: unusual speeds.
 
         **Differentiability**: none.
         """

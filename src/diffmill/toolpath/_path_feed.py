@@ -84,17 +84,17 @@ class PathFeed(eqx.Module):
     def places(
         self, override: Float[Array, " knot"], step_count: int
     ) -> Float[Array, " row"]:
-        """Return where the tool is at the tooth instants, as rows of the path.
+        """Places of the tool at the tooth instants, in rows of the path.
 
         Args:
-            override: As for `instants`.
+            override: Override at knots, shape (knot,), see `instants`.
             step_count: Number of tooth instants.
 
         Returns:
             Places such as 2.5, midway between rows 2 and 3, shape (row,); the last row
             of the path for all instants after its end.
 
-        **Differentiability**: as `instants`.
+        **Differentiability**: kinks where those of `instants` are.
         """
         dtype = override.dtype
         at = self.instants(override)
@@ -175,7 +175,7 @@ class PathFeed(eqx.Module):
         return float(_end(self, jnp.asarray(checked_override(override))))
 
     def row_count(self, override: Override) -> int:
-        """Return how many tooth instants the path needs with an override.
+        """Number of tooth instants that the path takes with an override.
 
         Raises:
             ValueError: More than a path may have.
@@ -272,9 +272,9 @@ def _reached(
             return least, least
 
         first = limit[-1] if reverse else limit[0]
-        rest = limit[:-1] if reverse else limit[1:]
-        _, found = jax.lax.scan(step, first, (rest, gain), reverse=reverse)
-        parts = [found, first[None]] if reverse else [first[None], found]
+        others = limit[:-1] if reverse else limit[1:]
+        _, swept = jax.lax.scan(step, first, (others, gain), reverse=reverse)
+        parts = [swept, first[None]] if reverse else [first[None], swept]
         return jnp.concatenate(parts)
 
     return sweep(sweep(limit, gain, False), gain, True)

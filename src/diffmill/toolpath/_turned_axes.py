@@ -10,7 +10,7 @@ _UPRIGHT = 1e-4
 
 
 def stand_upright(axes: Float[np.ndarray, "row 3"]) -> bool:
-    """Return whether unit tool axes are all +z, to 1e-4."""
+    """True if unit tool axes are all +z, to 1e-4."""
     return bool(np.all(np.abs(axes - np.array([0.0, 0.0, 1.0])) < _UPRIGHT))
 
 

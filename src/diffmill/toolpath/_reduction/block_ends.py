@@ -6,9 +6,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
-from .._moves import Move, Point, Program
+from .._moves import Move, Program, point_of
 from .._path import Path
 from .._timing.pieces import Segment, piece_of_move
 
@@ -21,7 +21,7 @@ _NEAR_ENDS = 1.0
 
 
 class BlockEnds(NamedTuple):
-    """Where the rows of a timed program are on its blocks.
+    """Places of the rows of a timed program on its blocks.
 
     Attributes:
         program: The program.
@@ -49,7 +49,9 @@ class BlockEnds(NamedTuple):
         points, lines = np.asarray(path.positions), np.asarray(path.line)
         steps = np.linalg.norm(np.diff(points, axis=0, prepend=points[:1]), axis=1)
         way, first = np.zeros(len(lines)), 0
-        for begin, stop in _runs(lines):
+        # Rows of one line in a row.
+        bounds = [0, *(np.flatnonzero(np.diff(lines)) + 1).tolist(), len(lines)]
+        for begin, stop in itertools.pairwise(bounds):
             while first < len(moves) and moves[first].line != lines[begin]:
                 first += 1
             if first == len(moves):
@@ -94,11 +96,14 @@ class BlockEnds(NamedTuple):
         return dataclasses.replace(self.program, moves=(*approach, *changed))
 
     def positions(self, other: "BlockEnds", path: Path) -> Float[np.ndarray, "row 3"]:
-        """Return where another timing of the same blocks is, at the places of the rows.
+        """Tool tips of another timing of the same blocks, at the places of the rows.
 
         Args:
             other: Places of the rows of `path`.
             path: A program of as many blocks, as timed.
+
+        Returns:
+            Tool tips [m], shape (row, 3).
         """
         points = np.asarray(path.positions)
         # Rows at rest share a place: any of them will do.
@@ -149,17 +154,10 @@ def _travelled(program: Program) -> tuple[Move, ...]:
     return program.moves[program.approach_count :]
 
 
-def _runs(lines: Int[np.ndarray, " row"]) -> list[tuple[int, int]]:
-    """Return the first row and the one behind the last of every run of one line."""
-    changes = np.flatnonzero(np.diff(lines)) + 1
-    bounds = [0, *changes.tolist(), len(lines)]
-    return list(itertools.pairwise(bounds))
-
-
 def _entered(
     move: Move, points: Float[np.ndarray, "row 3"], gone: Float[np.ndarray, " row"]
 ) -> Float[np.ndarray, " row"]:
-    """Return how far behind the start of a move the rows of its line are [m].
+    """Distances of the rows of a line from the start of its move [m], shape (row,).
 
     A rounded corner counts to the line behind it, but begins before that; it takes half
     of the move at most. So the row nearest to the middle tells where they are.
@@ -187,7 +185,7 @@ def _entered(
 
 
 def _is_near_closed(move: Move) -> bool:
-    """Return whether an arc ends so near its start that this gives no centre."""
+    """True if an arc ends so near its start that its ends tell no centre."""
     if move.centre is None:
         return False
     (a, b, c), (x, y, z) = move.spokes
@@ -199,7 +197,7 @@ def _moved(
 ) -> Move:
     """Return a move whose start and end are elsewhere, an arc around a new centre."""
     start, end = np.array(move.start) + first, np.array(move.end) + last
-    changed = move._replace(start=_point(start), end=_point(end))
+    changed = move._replace(start=point_of(start), end=point_of(end))
     if move.centre is None:
         return changed
     normal = np.array(move.normal)
@@ -211,10 +209,4 @@ def _moved(
         beside = (centre - (start + end) / 2) @ chord / (chord @ chord)
         centre = centre - beside * chord
     centre = flat @ centre + normal * (normal @ start)
-    return changed._replace(centre=_point(centre))
-
-
-def _point(values: Float[np.ndarray, " 3"]) -> Point:
-    """Return three numbers as a point."""
-    x, y, z = values.tolist()
-    return x, y, z
+    return changed._replace(centre=point_of(centre))

@@ -1,7 +1,6 @@
 """Fewer rows for a path that stays within a tolerance, in position at every time."""
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -59,76 +58,65 @@ def reduce_path(
         # A row carries the kind of the motion that leads to it.
         changes = 1 + np.flatnonzero(np.diff(np.asarray(path.is_rapid)[1:]))
         fit = SplineFit(time, points, float(tolerance), changes)
-        kept = fit.fewest_knots()
-        found = fit.fitted(kept)[kept]
+        rows = fit.fewest_knots()
+        corners = fit.fitted(rows)[rows]
     else:
-        corners = _corners(path, points, float(tolerance))
-        kept, found = corners.rows, corners.points
-    directions, tool_x = axes[kept], None
+        rows, corners = _corners(path, points, float(tolerance))
+    directions, tool_x = axes[rows], None
     if np.ptp(axes, axis=0).any():
-        directions = found[:, 3:6]
+        directions = corners[:, 3:6]
         directions = directions / np.linalg.norm(directions, axis=1, keepdims=True)
     if path.tool_x is not None:
-        across = found[:, 6:]
+        across = corners[:, 6:]
         along = np.sum(across * directions, axis=1, keepdims=True)
         tool_x = across - along * directions
         tool_x = tool_x / np.linalg.norm(tool_x, axis=1, keepdims=True)
     return Path(
-        time=time[kept],
-        positions=found[:, :3],
+        time=time[rows],
+        positions=corners[:, :3],
         axes=directions,
-        is_rapid=np.asarray(path.is_rapid)[kept],
-        line=np.asarray(path.line)[kept],
+        is_rapid=np.asarray(path.is_rapid)[rows],
+        line=np.asarray(path.line)[rows],
         tool_x=tool_x,
     )
 
 
-class _Corners(NamedTuple):
-    """Rows at which lines end, shape (corner,), and where [m], (corner, component)."""
-
-    rows: Int[np.ndarray, " corner"]
-    points: Float[np.ndarray, "corner component"]
-
-
 def _corners(
     path: Path, points: Float[np.ndarray, "row component"], tolerance: float
-) -> _Corners:
-    """Return the corners of lines that are as long as the tolerance allows."""
+) -> tuple[Int[np.ndarray, " corner"], Float[np.ndarray, "corner component"]]:
+    """Rows and corners [m] of lines that are as long as the tolerance allows."""
     time, is_rapid = np.asarray(path.time), np.asarray(path.is_rapid)
-    kept, row, corner = [0], 0, points[0]
-    corners = [corner]
+    row, corner = 0, points[0]
+    rows, corners = [row], [corner]
     while row < time.size - 1:
         end = min(row + _MOST_ROWS, time.size - 1)
         # A row carries the kind of the motion that leads to it.
         other = np.flatnonzero(is_rapid[row + 2 : end + 1] != is_rapid[row + 1])
         end = row + 1 + int(other[0]) if other.size else end
         span = time[row + 1 : end + 1] - time[row]
-        line = _longest_line(span, points[row + 1 : end + 1] - corner, tolerance)
-        row += line.rows
-        corner = corner + line.speed * span[line.rows - 1]
-        kept.append(row)
+        way = points[row + 1 : end + 1] - corner
+        count, speed = _longest_line(span, way, tolerance)
+        row += count
+        corner = corner + speed * span[count - 1]
+        rows.append(row)
         corners.append(corner)
-    return _Corners(np.array(kept), np.array(corners))
-
-
-class _Line(NamedTuple):
-    """Rows that a line can serve, and its speed [m/s], shape (component,)."""
-
-    rows: int
-    speed: Float[np.ndarray, " component"]
+    return np.array(rows), np.array(corners)
 
 
 def _longest_line(
     span: Float[np.ndarray, " row"],
     way: Float[np.ndarray, "row component"],
     tolerance: RealScalarLike,
-) -> _Line:
-    """Return the line from the origin that serves most rows.
+) -> tuple[int, Float[np.ndarray, " component"]]:
+    """Number of rows that the longest line from the origin serves, and its speed.
 
     Args:
         span: Times since the start of the line [s].
-        way: Where the rows are, from there [m].
+        way: Positions of the rows relative to it [m].
         tolerance: Largest distance of a row [m].
+
+    Returns:
+        The number of rows, and the speed [m/s], shape (component,).
     """
     least = np.maximum.accumulate((way - tolerance) / span[:, None], axis=0)
     most = np.minimum.accumulate((way + tolerance) / span[:, None], axis=0)
@@ -138,5 +126,5 @@ def _longest_line(
         speed = 0.5 * (least[last - 1] + most[last - 1])
         gap = way[:last] - speed * span[:last, None]
         if np.linalg.norm(gap.reshape(last, -1, 3), axis=2).max() <= tolerance:
-            return _Line(last, speed)
-    return _Line(1, way[0] / span[0])
+            return last, speed
+    return 1, way[0] / span[0]

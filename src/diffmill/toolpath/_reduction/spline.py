@@ -68,8 +68,8 @@ class SplineFit:
         tail[0, -2:] = -rear, 1 + rear
         inner = csr_array((np.ones(count), (np.arange(count),) * 2))
         basis = csr_array(basis @ vstack([csr_array(head), inner, csr_array(tail)]))
-        found = spsolve((basis.T @ basis).tocsc(), basis.T @ self.points)
-        return basis @ np.asarray(found).reshape(count, -1)
+        weights = spsolve((basis.T @ basis).tocsc(), basis.T @ self.points)
+        return basis @ np.asarray(weights).reshape(count, -1)
 
     def fewest_knots(self) -> Knots:
         """Return few rows whose spline keeps the tolerance."""
@@ -79,12 +79,12 @@ class SplineFit:
         for spread in range(_SPREADS):
             knots = self._spread(knots)
             if spread >= _SETTLED:
-                found = self._decimated(self._halved(knots))
-                best = found if found.size < best.size else best
+                fewer = self._decimated(self._halved(knots))
+                best = fewer if fewer.size < best.size else best
         return best
 
     def _misses(self, knots: Knots) -> Float[np.ndarray, " row"]:
-        """Return how far every row is off, as a share of the tolerance."""
+        """Distance of the spline from every row, as a share of the tolerance."""
         gap = (self.fitted(knots) - self.points).reshape(self.time.size, -1, 3)
         return np.linalg.norm(gap, axis=2).max(axis=1) / self.tolerance
 

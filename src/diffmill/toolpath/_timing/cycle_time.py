@@ -9,12 +9,12 @@ _WORST = 5
 
 
 class Loss(NamedTuple):
-    """What a limit adds to the time of a line.
+    """Time that a limit adds to a line of the program.
 
     Attributes:
         line: Line of the program.
         cause: The limit.
-        seconds: What it adds [s].
+        seconds: The added time [s].
     """
 
     line: int

@@ -24,7 +24,7 @@ FEED, ACCELERATION, CURVE, JERK = "feed", "acceleration", "curves", "jerk"
 
 
 class TimingLimits(NamedTuple):
-    """What a controller holds a motion to.
+    """Limits to which a controller holds a motion.
 
     Attributes:
         acceleration: Largest acceleration along and across the path [m/s^2].
@@ -94,6 +94,11 @@ class Leg(NamedTuple):
     first_x: Point | None = None
     last_x: Point | None = None
 
+    @property
+    def has_exact_ends(self) -> bool:
+        """True if no corner at its ends is rounded: rapid and inverse-time moves."""
+        return self.is_rapid or self.duration is not None
+
     def axis_at(self, distance: float) -> Point:
         """Return the unit tool axis at a distance from the start."""
         if self.first_axis == self.last_axis:
@@ -116,6 +121,13 @@ class Leg(NamedTuple):
     def slower(self, speed: float, cause: str) -> "Leg":
         """Return the leg with a smaller limit, the same if it is not smaller."""
         return self._replace(speed=speed, cause=cause) if speed < self.speed else self
+
+    def within(self, limit: WayLimit) -> "Leg":
+        """Return the leg within a limit of the way."""
+        leg = self.slower(limit.speed, limit.cause)
+        if limit.acceleration >= leg.acceleration:
+            return leg
+        return leg._replace(acceleration=limit.acceleration, ramp_cause=limit.cause)
 
     def split(self, lengths: list[float]) -> list["Leg"]:
         """Return the leg in parts of given lengths, which add up to its own."""
@@ -142,7 +154,7 @@ def legs_of_program(
 
     Args:
         program: The program; its approach is left out.
-        limits: As numbers.
+        limits: The limits of the controller.
         along: Further limits along the way.
 
     Raises:
@@ -163,19 +175,20 @@ def legs_of_program(
 
 
 def rounded_corner_count(program: Program, limits: TimingLimits) -> int:
-    """Return how many corners of a program are rounded.
+    """Number of the rounded corners of a program.
 
     Args:
         program: The program; its approach is left out.
-        limits: As numbers.
+        limits: The limits of the controller.
 
     Raises:
-        ValueError: As `legs_of_program`.
+        ValueError: If a feed is missing, or the tool turns on the spot or to the
+            opposite axis.
     """
     legs = _sharp_legs(program, limits)
-    joints = zip(legs, [*legs[1:], None], strict=False)
-    corners = (_joint(*pair, limits.corner_tolerance).corner for pair in joints)
-    return sum(corner is not None for corner in corners)
+    pairs = zip(legs, [*legs[1:], None], strict=False)
+    joints = [_joint(*pair, limits.corner_tolerance) for pair in pairs]
+    return sum(corner is not None for corner, _ in joints)
 
 
 def _sharp_legs(program: Program, limits: TimingLimits) -> list[Leg]:
@@ -233,8 +246,7 @@ def _rounded(legs: list[Leg], tolerance: float) -> list[Leg]:
     out: list[Leg] = []
     head = 0.0
     for before, after in zip(legs, [*legs[1:], None], strict=False):
-        joint = _joint(before, after, tolerance)
-        corner, is_stop = joint.corner, joint.is_stop
+        corner, is_stop = _joint(before, after, tolerance)
         tail = 0.0 if corner is None else corner.trim
         piece = before.piece
         if head + tail > 0 and not isinstance(piece, Blend):
@@ -253,34 +265,24 @@ def _rounded(legs: list[Leg], tolerance: float) -> list[Leg]:
     return out
 
 
-class _Joint(NamedTuple):
-    """How one leg goes over into the next: a rounding, and whether the tool stops."""
-
-    corner: Corner | None = None
-    is_stop: bool = False
-
-
-def _joint(before: Leg, after: Leg | None, tolerance: float) -> _Joint:
-    """Return how one leg goes over into the next."""
-    if after is None or _is_exact(before) or _is_exact(after):
-        return _Joint(is_stop=True)
+def _joint(
+    before: Leg, after: Leg | None, tolerance: float
+) -> tuple[Corner | None, bool]:
+    """Rounded corner between two legs, None without one; true if the tool stops."""
+    if after is None or before.has_exact_ends or after.has_exact_ends:
+        return None, True
     if isinstance(before.piece, Blend) or isinstance(after.piece, Blend):
-        return _Joint()
+        return None, False
     angle = corner_angle(before.piece, after.piece)
     if angle < TANGENT_ANGLE:
-        return _Joint()
+        return None, False
     if tolerance > _FINEST_TOLERANCE and angle < REVERSAL_ANGLE:
-        return _Joint(round_corner(before.piece, after.piece, angle, tolerance))
-    return _Joint(is_stop=True)
-
-
-def _is_exact(leg: Leg) -> bool:
-    """Whether the leg's ends are kept as they are: rapid and inverse-time moves."""
-    return leg.is_rapid or leg.duration is not None
+        return round_corner(before.piece, after.piece, angle, tolerance), False
+    return None, True
 
 
 def _slower_in_curves(leg: Leg) -> Leg:
-    """Return a leg whose centripetal acceleration is within its limit."""
+    """Leg whose centripetal acceleration is within its limit: v^2 kappa <= a."""
     curvature = leg.piece.curvature
     if leg.duration is not None or curvature == 0:
         return leg
@@ -293,38 +295,27 @@ def _limited(legs: list[Leg], along: tuple[WayLimit, ...]) -> list[Leg]:
     way, index = 0.0, 0
     for leg in legs:
         end = way + leg.piece.length
-        parts, kept = [], [along[index]]
+        parts, crossed = [], [along[index]]
         while along[index].end < end and index + 1 < len(along):
             length = along[index].end - way - math.fsum(parts)
             index += 1
             if length > SHORTEST:
                 parts.append(length)
-                kept.append(along[index])
+                crossed.append(along[index])
             else:
-                kept[-1] = along[index]
-        rest = leg.piece.length - math.fsum(parts)
+                crossed[-1] = along[index]
+        last = leg.piece.length - math.fsum(parts)
         way = end
         if leg.duration is not None:
             out.append(leg)
-        elif isinstance(leg.piece, Blend) or not parts or rest <= SHORTEST:
-            for limit in kept:
-                leg = _within_way_limit(leg, limit)
+        elif isinstance(leg.piece, Blend) or not parts or last <= SHORTEST:
+            for limit in crossed:
+                leg = leg.within(limit)
             out.append(leg)
         else:
-            pieces = leg.split([*parts, rest])
-            out += [
-                _within_way_limit(p, limit)
-                for p, limit in zip(pieces, kept, strict=True)
-            ]
+            pieces = leg.split([*parts, last])
+            out += [p.within(limit) for p, limit in zip(pieces, crossed, strict=True)]
     return out
-
-
-def _within_way_limit(leg: Leg, limit: WayLimit) -> Leg:
-    """Return a leg within a limit of the way."""
-    leg = leg.slower(limit.speed, limit.cause)
-    if limit.acceleration >= leg.acceleration:
-        return leg
-    return leg._replace(acceleration=limit.acceleration, ramp_cause=limit.cause)
 
 
 def _slowed(legs: list[Leg], smoothing: float) -> list[Leg]:

@@ -26,7 +26,7 @@ def sample_program(
     smoothing: RealScalarLike = 0.0,
     most_steps: RealScalarLike = MOST_STEPS,
 ) -> Path:
-    """Return where the tool is at every tooth instant.
+    """Path of a program: the tool at every tooth instant.
 
     The tangential and the centripetal acceleration each stay within the limit. The
     tool starts and ends at rest and stops where a rapid move begins or ends, where it

@@ -78,7 +78,7 @@ def mean_way(
 
 
 class SlowRange(NamedTuple):
-    """How long a part of a path is [m], and the largest speed on it [m/s]."""
+    """Length of a part of a path [m], and the largest speed on it [m/s]."""
 
     length: float
     speed: float
@@ -90,7 +90,7 @@ def slow_ranges(
     section: Int[np.ndarray, " piece"],
     smoothing: float,
 ) -> list[list[SlowRange]]:
-    """Return how the pieces of a path must be slowed down around slow ones.
+    """Parts of the pieces of a path with speeds that keep the limits of slow ones.
 
     Of a piece with the speed v, the mean over tau holds that speed if the plain motion
     holds it v tau / 2 before and after, too.
@@ -110,13 +110,13 @@ def slow_ranges(
     tails: list[list[SlowRange]] = [[] for _ in range(count)]
     lengths, speeds, sections = length.tolist(), speed.tolist(), section.tolist()
     for i, v in enumerate(speeds):
-        for step, found in ((1, heads), (-1, tails)):
+        for step, ends in ((1, heads), (-1, tails)):
             reach, j = v * smoothing / 2, i + step
             while reach > 0 and 0 <= j < count and sections[j] == sections[i]:
                 # A slower one reaches on by itself.
                 if speeds[j] <= v:
                     break
-                found[j].append(SlowRange(min(reach, lengths[j]), v))
+                ends[j].append(SlowRange(min(reach, lengths[j]), v))
                 reach -= lengths[j]
                 j += step
     return [

@@ -23,7 +23,7 @@ from .legs import (
 )
 from .pieces import Arc, Segment, arc_positions
 from .smoothing import WayInTime, mean_way
-from .way_limits import JointCourse, WayLimit, WaySpeed, lowest
+from .way_limits import JointCourse, WayLimit, lowest
 
 # Fraction of a tooth period by which sums of durations may miss a tooth instant.
 _SAME_INSTANT = 1e-6
@@ -42,10 +42,10 @@ class Profile(NamedTuple):
 
 
 class ProgramTiming(NamedTuple):
-    """How a program was timed, to time another one in the same way.
+    """Timing of a program, to time another one in the same way.
 
     Attributes:
-        limits: What its motion is held to.
+        limits: Limits of the controller.
         along: Further limits along its way, from the joints.
         cycle_time: Time that it takes, and what makes it longer.
     """
@@ -58,7 +58,8 @@ class ProgramTiming(NamedTuple):
         """Return another program under the same limits, its way nearly the same.
 
         Raises:
-            ValueError: As `TimedProgram.of`.
+            ValueError: If a feed is missing, the tool turns on the spot or to the
+                opposite axis, or nothing moves.
         """
         return TimedProgram.of(program, self.limits, self.along)
 
@@ -68,7 +69,7 @@ class TimedProgram(NamedTuple):
 
     Attributes:
         program: The program; its approach has no time.
-        limits: What its motion is held to.
+        limits: Limits of the controller.
         along: Further limits along its way.
         legs: Its pieces, corners rounded.
         profile: Speeds on them.
@@ -88,7 +89,7 @@ class TimedProgram(NamedTuple):
 
         Args:
             program: The program.
-            limits: What its motion is held to.
+            limits: Limits of the controller.
             along: Further limits along its way.
 
         Raises:
@@ -101,18 +102,18 @@ class TimedProgram(NamedTuple):
 
     @property
     def timing(self) -> ProgramTiming:
-        """How the program is timed."""
+        """Timing of the program."""
         return ProgramTiming(self.limits, self.along, self.cycle_time)
 
     @property
     def stops(self) -> Float[np.ndarray, " stop"]:
-        """Where the tool is at rest: the way [m] from the start, shape (stop,)."""
+        """Ways from the start at which the tool is at rest [m], shape (stop,)."""
         is_stop = np.array([leg.is_stop for leg in self.legs])
         return np.append(0.0, np.cumsum(self.profile.length)[is_stop])
 
     @property
     def rounded_corners(self) -> int:
-        """How many corners are rounded by up to the corner tolerance."""
+        """Number of corners that are rounded by up to the corner tolerance."""
         return rounded_corner_count(self.program, self.limits)
 
     @property
@@ -126,7 +127,7 @@ class TimedProgram(NamedTuple):
         return CycleTime.of_losses(asked + stated, self._losses())
 
     def _losses(self) -> Iterator[Loss]:
-        """Yield what limits add, piece by piece."""
+        """Yield the times that limits add, piece by piece."""
         duration = self.profile.duration.tolist()
         longer = self._longer(sections_of(self.legs)).tolist()
         section = 0
@@ -176,9 +177,12 @@ class TimedProgram(NamedTuple):
         # Rows of a slowed program are nearer to each other and show more.
         if self.along and course.keeps_bounds(path.duration / (path.step_count - 1)):
             return self
-        fastest = max(leg.speed for leg in self.legs)
-        most = WaySpeed(fastest, self.limits.acceleration)
-        along = course.way_limits(way, self.stops, most)
+        along = course.way_limits(
+            way,
+            self.stops,
+            fastest=max(leg.speed for leg in self.legs),
+            largest_acceleration=self.limits.acceleration,
+        )
         if not along:
             return self
         return TimedProgram.of(self.program, self.limits, lowest(self.along, along))
@@ -186,7 +190,7 @@ class TimedProgram(NamedTuple):
     def path(
         self, tooth_period: RealScalarLike, *, most_steps: RealScalarLike = MOST_STEPS
     ) -> Path:
-        """Return where the tool is at every tooth instant, see `sample_program`.
+        """Path of the program: the tool at every tooth instant, see `sample_program`.
 
         Args:
             tooth_period: Time between rows T [s].
@@ -205,32 +209,41 @@ class TimedProgram(NamedTuple):
         duration = self.profile.duration.sum()
         duration += self._longer(sections_of(self.legs)).sum()
         check_steps(float(duration / period), float(most_steps))
-        rows = self._rows(period)
-        index, distance = rows.piece, rows.distance
-        axes = _axes(self.legs, index, distance)
+        legs = self.legs
+        index, distance = self._places(period)
+        share = distance / np.array([leg.piece.length or 1.0 for leg in legs])[index]
+        first = np.array([leg.first_axis for leg in legs])
+        last = np.array([leg.last_axis for leg in legs])
+        axes, tool_x = turned_axes(first[index], last[index], share), None
+        # Of a program that states the rotation about the tool axis everywhere.
+        first_x = [leg.first_x for leg in legs if leg.first_x is not None]
+        last_x = [leg.last_x for leg in legs if leg.last_x is not None]
+        if len(first_x) == len(last_x) == len(legs):
+            first, last = np.hstack([first, first_x]), np.hstack([last, last_x])
+            tool_x = turned_tool_x(first[index], last[index], share, axes)
         return Path(
             time=period * np.arange(index.size),
-            positions=_positions(self.legs, index, distance),
+            positions=_positions(legs, index, distance),
             axes=axes,
-            is_rapid=np.array([leg.is_rapid for leg in self.legs])[index],
-            line=np.array([leg.line for leg in self.legs], dtype=np.int32)[index],
-            tool_x=_tool_x(self.legs, rows, axes),
+            is_rapid=np.array([leg.is_rapid for leg in legs])[index],
+            line=np.array([leg.line for leg in legs], dtype=np.int32)[index],
+            tool_x=tool_x,
         )
 
     def _way_at(self, path: Path) -> Float[np.ndarray, " step"]:
         """Return the way [m] at the rows of the program's path."""
         # Chords between rows are shorter than curves: they would shift limits along
         # the way, by more than a rounded corner is long.
-        rows = self._rows(path.duration / (path.step_count - 1))
+        index, distance = self._places(path.duration / (path.step_count - 1))
         begun = np.cumsum(self.profile.length) - self.profile.length
-        way = np.maximum.accumulate(begun[rows.piece] + rows.distance)
-        rest, odd = divmod(path.step_count - way.size, 2)
-        if rest < 0 or odd:
+        way = np.maximum.accumulate(begun[index] + distance)
+        at_rest, odd = divmod(path.step_count - way.size, 2)
+        if at_rest < 0 or odd:
             raise ValueError(
                 f"Argument `path` must have the {way.size} rows of this program, with "
                 f"as many at rest before as after them, but has {path.step_count}."
             )
-        return np.pad(way, rest, mode="edge")
+        return np.pad(way, at_rest, mode="edge")
 
     def _longer(self, section: Int[np.ndarray, " piece"]) -> Float[np.ndarray, " part"]:
         """Return by how much smoothing lengthens the way from stop to stop [s]."""
@@ -239,8 +252,10 @@ class TimedProgram(NamedTuple):
         smoothing = self.limits.smoothing
         return smoothing * (np.bincount(section, self.profile.length * is_free) > 0)
 
-    def _rows(self, tooth_period: float) -> "_Rows":
-        """Return the places at the tooth instants."""
+    def _places(
+        self, tooth_period: float
+    ) -> tuple[Int[np.ndarray, " step"], Float[np.ndarray, " step"]]:
+        """Pieces on which the tool is at the tooth instants, distances within [m]."""
         legs, profile = self.legs, self.profile
         margin = _SAME_INSTANT * tooth_period
 
@@ -259,7 +274,7 @@ class TimedProgram(NamedTuple):
         if self.limits.smoothing == 0:
             index = at(ends, time)
             begun = (ends - profile.duration)[index]
-            return _Rows(index, _travelled(profile, index, time - begun))
+            return index, _travelled(profile, index, time - begun)
         part = at(stops + late, time)
         begun = np.append(0.0, stops[:-1])
         local = time - (begun + late - longer)[part]
@@ -270,14 +285,7 @@ class TimedProgram(NamedTuple):
         index = np.searchsorted(lengths, before[part] + gone - SHORTEST)
         index = np.clip(index, first[part], np.append(first[1:], len(legs))[part] - 1)
         distance = before[part] + gone - (lengths - profile.length)[index]
-        return _Rows(index, np.clip(distance, 0.0, profile.length[index]))
-
-
-class _Rows(NamedTuple):
-    """Pieces of a program, and the distance within them [m], shape (step,) each."""
-
-    piece: Int[np.ndarray, " step"]
-    distance: Float[np.ndarray, " step"]
+        return index, np.clip(distance, 0.0, profile.length[index])
 
 
 def _speeds(legs: list[Leg]) -> Profile:
@@ -348,33 +356,6 @@ def _travelled(
         time < rise, up * time, np.where(left < fall, length - down * left, cruise)
     )
     return np.clip(distance, 0.0, length)
-
-
-def _axes(
-    legs: list[Leg],
-    index: Int[np.ndarray, " step"],
-    distance: Float[np.ndarray, " step"],
-) -> Float[np.ndarray, "step 3"]:
-    """Return the unit tool axes."""
-    first, last = (
-        np.array([getattr(leg, name) for leg in legs])[index]
-        for name in ("first_axis", "last_axis")
-    )
-    length = np.array([leg.piece.length or 1.0 for leg in legs])[index]
-    return turned_axes(first, last, distance / length)
-
-
-def _tool_x(
-    legs: list[Leg], rows: "_Rows", axes: Float[np.ndarray, "step 3"]
-) -> Float[np.ndarray, "step 3"] | None:
-    """Unit x of the tool at the rows; None where the program states none somewhere."""
-    if any(leg.first_x is None or leg.last_x is None for leg in legs):
-        return None
-    first = np.array([(*leg.first_axis, *(leg.first_x or ())) for leg in legs])
-    last = np.array([(*leg.last_axis, *(leg.last_x or ())) for leg in legs])
-    length = np.array([leg.piece.length or 1.0 for leg in legs])
-    share = rows.distance / length[rows.piece]
-    return turned_tool_x(first[rows.piece], last[rows.piece], share, axes)
 
 
 def _positions(

@@ -36,15 +36,8 @@ class WayLimit(NamedTuple):
     cause: str
 
 
-class WaySpeed(NamedTuple):
-    """A speed [m/s] and an acceleration [m/s^2] along a way."""
-
-    speed: float
-    acceleration: float
-
-
 class JointCourse(NamedTuple):
-    """How the joints of a robot move along a path, and what they can.
+    """Joint positions of a robot along a path, and the limits of the joints.
 
     Attributes:
         q: Joint positions at the rows of a path [rad or m], shape (row, joint).
@@ -60,7 +53,7 @@ class JointCourse(NamedTuple):
     acceleration: Float[np.ndarray, " joint"]
 
     def keeps_bounds(self, time_step: float) -> bool:
-        """Return whether rows that are so far apart [s] keep the limits."""
+        """True if rows that are `time_step` [s] apart keep the limits."""
         rate = np.abs(np.diff(self.q, axis=0)) / time_step
         change = np.abs(np.diff(self.q, 2, axis=0)) / time_step**2
         more = 1 + _ROUNDING
@@ -71,14 +64,17 @@ class JointCourse(NamedTuple):
         self,
         way: Float[np.ndarray, " row"],
         stops: Float[np.ndarray, " stop"],
-        most: WaySpeed,
+        *,
+        fastest: float,
+        largest_acceleration: float,
     ) -> tuple[WayLimit, ...]:
-        """Return what the joints allow along a way.
+        """Limits that the joints set along a way.
 
         Args:
             way: Way at each row of `q` [m], not decreasing, shape (row,).
-            stops: Where the tool is at rest [m], and may turn, shape (stop,).
-            most: What is not passed anyway.
+            stops: Ways at which the tool is at rest [m], and may turn, shape (stop,).
+            fastest: Speed along the way that the motion never passes [m/s].
+            largest_acceleration: Acceleration that it never passes [m/s^2].
 
         Returns:
             The limits; none if the joints allow all of it.
@@ -102,22 +98,22 @@ class JointCourse(NamedTuple):
             by_speed = _MARGIN * self.speed / slope
             by_bend = np.sqrt(_MARGIN * self.acceleration / 2 / bend)
             by_slope = _MARGIN * self.acceleration / 2 / slope
-        held = np.minimum(by_speed, by_bend)
-        speed = _with_neighbours(np.minimum(held.min(axis=1), most.speed))
+        by_joint = np.minimum(by_speed, by_bend)
+        speed = _with_neighbours(np.minimum(by_joint.min(axis=1), fastest))
         acceleration = _with_neighbours(
-            np.minimum(by_slope.min(axis=1), most.acceleration)
+            np.minimum(by_slope.min(axis=1), largest_acceleration)
         )
-        if (speed >= most.speed).all() and (acceleration >= most.acceleration).all():
+        if (speed >= fastest).all() and (acceleration >= largest_acceleration).all():
             return ()
         # The joint that takes most of what is asked for is the one that is named.
-        share = np.maximum(most.speed / held, most.acceleration / by_slope)
+        share = np.maximum(fastest / by_joint, largest_acceleration / by_slope)
         return _merged(at, speed, acceleration, share, self.names)
 
 
 def lowest(
     some: tuple[WayLimit, ...], others: tuple[WayLimit, ...]
 ) -> tuple[WayLimit, ...]:
-    """Return what is within both of two lists of limits along the same way."""
+    """Limits that keep both of two lists of limits along the same way."""
     if not (some and others):
         return some or others
     ends = sorted({limit.end for limit in some + others})
