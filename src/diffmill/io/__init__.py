@@ -34,10 +34,10 @@ from ._programs.rs274.interpreter import (
 from ._programs.rs274.writer import write_gcode as write_gcode
 from ._programs.setup import ProgramSetup as ProgramSetup
 from ._programs.stream import OffsetStream as OffsetStream
-from ._records.errors import RecordError as RecordError
 from ._records.load_record import load_record as load_record
 from ._records.quantity import Quantity as Quantity
 from ._records.reader import TableReader as TableReader
+from ._records.table import RecordError as RecordError
 from ._results import (
     described as described,
     mark_incomplete as mark_incomplete,

@@ -15,8 +15,7 @@ import numpy as np
 from jaxtyping import Float, Shaped
 
 from ...units import FORCE, TIME
-from .errors import RecordError
-from .table import Column, Table, header_rate, split_unit
+from .table import Column, RecordError, Table, header_rate, split_unit
 
 # A matrix with more columns than this is no record of channels.
 _MOST_COLUMNS = 64

@@ -3,15 +3,14 @@
 import os
 import pathlib
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
 
-from .errors import RecordError
+from .quantity import FORCES, OTHERS
 from .reader import Channel, TableReader
-from .record_columns import FORCES, OTHERS
-from .table import Column
+from .table import Column, RecordError
 
 if TYPE_CHECKING:
     from ...identification import Record
@@ -60,8 +59,7 @@ def load_record(
     except OSError as error:
         reason = error.strerror or str(error)
         raise RecordError(str(file), [f"cannot be read: {reason}."]) from None
-    found = _columns(reader)
-    columns, values = found.columns, found.values
+    columns, values = _columns(reader)
     rates = [columns[q.key].rate for q in FORCES if q.key in columns]
     nothing = np.zeros(max(len(one) for one in values.values()))
     force = np.stack([values.get(q.key, nothing) for q in FORCES], axis=1)
@@ -75,7 +73,7 @@ def load_record(
         )
     reader.check()
     assert line is not None
-    seen = [q.key in columns for q in FORCES]
+    is_measured = [q.key in columns for q in FORCES]
     names = [columns[q.key].name if q.key in columns else q.key for q in FORCES]
     force = np.ascontiguousarray(force[line.rows], dtype=np.float64)
     # It takes a third of a second to import, which a job does not need.
@@ -97,30 +95,26 @@ def load_record(
         tacho=other.get("tacho"),
         angle=other.get("angle"),
         names=(names[0], names[1], names[2]),
-        is_measured=(seen[0], seen[1], seen[2]),
+        is_measured=(is_measured[0], is_measured[1], is_measured[2]),
         notes=tuple(reader.notes),
         source=reader.name,
         channels=tuple(reader.read),
     )
 
 
-class _RecordColumns(NamedTuple):
-    """Columns of a record as written, and their values in SI units, by quantity."""
-
-    columns: dict[str, Column]
-    values: dict[str, Float[np.ndarray, " row"]]
-
-
-def _columns(reader: TableReader) -> _RecordColumns:
-    """Return the columns of a record.
+def _columns(
+    reader: TableReader,
+) -> tuple[dict[str, Column], dict[str, Float[np.ndarray, " row"]]]:
+    """Columns of a record as written, and their values in SI units, by quantity.
 
     Raises:
         RecordError: A force is missing, or columns do not go together.
     """
     quantities = (*OTHERS[:1], *FORCES, *OTHERS[1:])
     reader.allow(quantities)
-    found = {q.key: reader.find(q) for q in quantities}
-    columns = {key: column for key, column in found.items() if column is not None}
+    columns = {
+        q.key: column for q in quantities if (column := reader.find(q)) is not None
+    }
     forces = [q.key for q in FORCES if q.key in columns]
     missing = [
         q.key for q in FORCES if q.key not in columns and not reader.is_excluded(q.key)
@@ -159,4 +153,4 @@ def _columns(reader: TableReader) -> _RecordColumns:
     if len({columns[key].rate for key in forces}) > 1:
         reader.faults.append("the forces differ in their sampling rates.")
     reader.check()
-    return _RecordColumns(columns, values)
+    return columns, values

@@ -1,8 +1,9 @@
 """Quantities that a table may have, and what their columns are called."""
 
+import re
 from typing import NamedTuple
 
-from ...units import TIME, QuantityKind
+from ...units import ANGLE, FORCE, TIME, QuantityKind
 
 # What may stand between a word and the letter of an axis.
 _PARTS = r"[\s_.\-]*"
@@ -57,3 +58,29 @@ TIME_COLUMN = Quantity(
     (TIME,),
     ("time",),
 )
+# Names that leave no doubt, and names that hold the force's as a word:
+# `Dyno Fx filtered`, `Ch1_Fx`.
+FORCES = tuple(
+    q._replace(units=(q.key, "force"), loose=rf"(?<![a-z])f[ _]?{q.key[1]}(?![a-z])")
+    for q in Quantity.vector("F", "f|force|kraft", FORCE)
+)
+OTHERS = (
+    TIME_COLUMN,
+    Quantity("tacho", r"tacho\w*|trigger|pulses?|key ?phasor|once per rev\w*"),
+    Quantity(
+        "angle",
+        r"((spindle|tool|rotation|encoder|spindel|dreh)[ _]?)?(angle|winkel)",
+        (ANGLE,),
+        ("angle",),
+    ),
+)
+
+
+def has_quantity_names(names: list[str]) -> bool:
+    """True if one of the names is that of a quantity of a record."""
+    return any(
+        re.fullmatch(q.pattern, name, re.IGNORECASE)
+        or (q.loose and re.search(q.loose, name, re.IGNORECASE))
+        for q in (*FORCES, *OTHERS)
+        for name in names
+    )

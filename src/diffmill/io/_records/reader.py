@@ -9,12 +9,12 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ...units import ANGLE, FORCE, TIME, QuantityKind
-from .errors import RecordError
+from .binary import read_mat, read_netcdf, read_tdms
 from .quantity import TIME_COLUMN, Quantity
-from .read_table import read_table
 from .table import (
     ELECTRIC,
     Column,
+    RecordError,
     Table,
     given_scale,
     is_sensitivity,
@@ -22,7 +22,9 @@ from .table import (
     scale,
     split_unit,
 )
+from .text import read_text
 from .timeline import Timeline, timeline
+from .uff import read_uff
 
 if TYPE_CHECKING:
     from ...identification import Record
@@ -119,7 +121,7 @@ class TableReader:
             ]
 
     def is_excluded(self, key: str) -> bool:
-        """Return whether the user says that there is no such column."""
+        """True if the user says that there is no such column."""
         return key in self.channels and self.channels[key] is None
 
     def values(self, quantity: Quantity) -> Float[np.ndarray, " row"] | None:
@@ -135,7 +137,7 @@ class TableReader:
             if label is None or isinstance(label, str | int):
                 return self._named(key, label)
             return self._sum(quantity, label)
-        hits = [c for c in self.table.columns if _fits(c, quantity)]
+        hits = [c for c in self.table.columns if _is_named(c, quantity)]
         is_whole = bool(hits) or not quantity.loose
         if not is_whole:
             hits = [
@@ -145,7 +147,7 @@ class TableReader:
             ]
         if len(hits) > 1:
             # `fz_mm` beside `Fz_N`: the unit tells which of them is meant.
-            hits = [c for c in hits if _has_kind(c, quantity.kinds)] or hits
+            hits = [c for c in hits if self._suits(quantity, c)] or hits
         if len(hits) > 1:
             self.faults.append(
                 f"found {len(hits)} columns that may be {key} ({self.listed(hits)}); "
@@ -203,7 +205,7 @@ class TableReader:
         return None
 
     def _scale(self, quantity: Quantity, column: Column, kind: QuantityKind) -> float:
-        """Return how many SI units a number of a column has.
+        """Factor from the numbers of a column to SI units.
 
         Raises:
             ValueError: The unit is unknown, or of another kind.
@@ -254,6 +256,11 @@ class TableReader:
         """Return the unit of a column by the file, "" if it has none."""
         return column.unit or split_unit(column.name, *quantity.kinds).unit
 
+    def _suits(self, quantity: Quantity, column: Column) -> bool:
+        """True if a column has no unit by the file, or one of the quantity."""
+        unit = self._written_unit(quantity, column)
+        return not unit or not quantity.kinds or is_unit(unit, *quantity.kinds)
+
     def _unit_key(self, quantity: Quantity) -> str | None:
         """Return the key under which the user gives the unit of a quantity."""
         return next((name for name in quantity.units if name in self.units), None)
@@ -276,8 +283,11 @@ class TableReader:
                 "those of a force are summed."
             )
             return None
-        found = [self._named(key, label) for label in labels]
-        columns = [column for column in found if column is not None]
+        columns = [
+            column
+            for label in labels
+            if (column := self._named(key, label)) is not None
+        ]
         if len(columns) < len(labels):
             return None
         names = [column.name for column in columns]
@@ -338,8 +348,8 @@ class TableReader:
         return None
 
 
-def _fits(column: Column, quantity: Quantity) -> bool:
-    """Return whether a column has the name of a quantity, its unit aside."""
+def _is_named(column: Column, quantity: Quantity) -> bool:
+    """True if a column has the name of a quantity, its unit aside."""
     return any(
         re.fullmatch(quantity.pattern, name.strip(), re.IGNORECASE)
         for name in (column.name, split_unit(column.name, *quantity.kinds).name)
@@ -351,10 +361,26 @@ def _sensitivity_example(unit: str, kind: QuantityKind) -> str:
     return f'"4 pC/{kind.unit}"' if unit.endswith("C") else f'"100 {kind.unit}/V"'
 
 
-def _has_kind(column: Column, kinds: tuple[QuantityKind, ...]) -> bool:
-    unit = column.unit or split_unit(column.name, *kinds).unit
-    return not unit or not kinds or is_unit(unit, *kinds)
-
-
 def _squeezed(text: str) -> str:
     return re.sub(r"[\W_]", "", text.lower())
+
+
+def read_table(file: pathlib.Path) -> Table:
+    """Return the columns of a file; what it begins with decides, then its suffix.
+
+    Raises:
+        RecordError: If no columns are in it.
+        OSError: If the file cannot be read.
+    """
+    with file.open("rb") as stream:
+        begin = stream.read(128)
+    suffix = file.suffix.lower()
+    if begin.startswith(b"TDSm") or suffix == ".tdms":
+        return read_tdms(file)
+    if begin.startswith(b"MATLAB") or suffix == ".mat":
+        return read_mat(file)
+    if begin.startswith((b"\x89HDF", b"CDF")) or suffix in (".nc", ".nc4", ".cdf"):
+        return read_netcdf(file)
+    if re.match(rb"\s*-1\r?\n *\d+", begin) or suffix in (".uff", ".unv"):
+        return read_uff(file)
+    return read_text(file)

@@ -1,4 +1,4 @@
-"""Table of measurements: named columns as written."""
+"""Table of measurements: named columns as written, and the error of a faulty one."""
 
 import math
 import re
@@ -8,7 +8,24 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from ..._messages import shown
 from ...units import FREQUENCY, TIME, QuantityKind, quantity
+
+_SHOWN_FAULTS = 20
+
+
+class RecordError(ValueError):
+    """A measured record that cannot be read, with everything wrong in it.
+
+    Attributes:
+        name: The file.
+        faults: What is wrong; at most 20.
+    """
+
+    def __init__(self, name: str, faults: list[str]):
+        self.name = name
+        self.faults = tuple(shown(faults, _SHOWN_FAULTS))
+        super().__init__("\n".join(f"{name}: {fault}" for fault in self.faults))
 
 
 class Column(NamedTuple):
@@ -86,7 +103,7 @@ _MOMENT = re.compile(r"((?:da|[kmM])?N)[.\-]?(mm|cm|m)")
 
 
 def scale(unit: str, kind: QuantityKind) -> float:
-    """Return how many SI units one `unit` has.
+    """Factor from a unit to SI.
 
     Raises:
         ValueError: If the unit is unknown or of another kind.
@@ -103,7 +120,7 @@ def scale(unit: str, kind: QuantityKind) -> float:
 
 
 def given_scale(text: str, kind: QuantityKind, column_unit: str = "") -> float:
-    """Return how many SI units a number in the file stands for, as the user says.
+    """Factor from the numbers of a column to SI, as the user states it.
 
     Args:
         text: A unit, an amount of one, or a sensitivity of a column of voltages or
@@ -125,7 +142,7 @@ def given_scale(text: str, kind: QuantityKind, column_unit: str = "") -> float:
 
 
 def is_sensitivity(text: str) -> bool:
-    """Return whether a text has the form of a sensitivity, such as "100 N/V"."""
+    """True if a text has the form of a sensitivity, such as "100 N/V"."""
     return _SENSITIVITY.search(text) is not None
 
 
@@ -140,12 +157,12 @@ _CHARGE = QuantityKind("a charge", "C", "4 pC")
 
 
 def _sensitivity_scale(text: str, kind: QuantityKind, column_unit: str) -> float:
-    """Return how many SI units a number of a column has, by its sensitivity."""
-    found = _SENSITIVITY.search(text)
-    assert found is not None
-    unit = found["below"] or found["above"]
+    """Factor from the numbers of a column to SI, by its sensitivity."""
+    match = _SENSITIVITY.search(text)
+    assert match is not None
+    unit = match["below"] or match["above"]
     electric = _CHARGE if unit.endswith("C") else _VOLTAGE
-    is_inverse = found["below"] is None
+    is_inverse = match["below"] is None
     ratio = f"{electric.unit}/({kind.unit})" if is_inverse else ""
     whole = QuantityKind(
         "a sensitivity",
@@ -176,7 +193,7 @@ def _above_zero(value: float, text: str) -> float:
 
 
 def is_unit(text: str, *kinds: QuantityKind) -> bool:
-    """Return whether a text is a unit of one of the kinds."""
+    """True if a text is a unit of one of the kinds."""
     for kind in kinds:
         try:
             scale(text, kind)
@@ -252,8 +269,8 @@ def _number(text: str, is_decimal: bool) -> float:
         return _number(first, is_decimal)
     if _UNCLEAR.fullmatch(text):
         return float(text.replace(",", ".")) if is_decimal else math.nan
-    if found := _THOUSANDS.fullmatch(text):
-        text = text.replace(found[1], "")
+    if thousands := _THOUSANDS.fullmatch(text):
+        text = text.replace(thousands[1], "")
     try:
         return float(text.replace(",", "."))
     except ValueError:

@@ -3,14 +3,20 @@
 import codecs
 import io
 import pathlib
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from .errors import RecordError
-from .table import Column, Table, header_rate
-from .text_layout import Layout, cells_of, first_block, header_of, layout_of, number_of
+from .table import Column, RecordError, Table, header_rate
+from .text_layout import (
+    Layout,
+    cells_of,
+    fault_of_header,
+    first_block,
+    header_of,
+    layout_of,
+    number_of,
+)
 
 _HEAD_BYTES = 1 << 20
 _BLOCK_BYTES = 1 << 24
@@ -27,14 +33,13 @@ def read_text(path: pathlib.Path) -> Table:
         OSError: If the file cannot be read.
     """
     with path.open("rb") as file:
-        found = _decoded(file, str(path))
-        stream = found.stream
+        stream, encoding = _decoded(file, str(path))
         head = stream.read(_HEAD_BYTES)
         if b"\n" not in head:
             # Old Macintosh programs end lines with a carriage return alone.
             stream = io.BytesIO((head + stream.read()).replace(b"\r", b"\n"))
             head = stream.read(_HEAD_BYTES)
-        lines = head.decode(found.encoding, errors="replace").split("\n")
+        lines = head.decode(encoding, errors="replace").split("\n")
         if len(head) == _HEAD_BYTES:
             lines.pop()
         lines = [line.rstrip("\r") for line in lines]
@@ -50,36 +55,33 @@ def read_text(path: pathlib.Path) -> Table:
         if layout.width > _MOST_COLUMNS:
             fault = f"found {layout.width} columns; at most {_MOST_COLUMNS} are read."
             raise RecordError(str(path), [fault])
-        header = header_of(lines, layout)
-        if header.fault:
-            raise RecordError(str(path), [header.fault])
+        labels, end = header_of(lines, layout)
+        if not end and (fault := fault_of_header(lines, layout)):
+            raise RecordError(str(path), [fault])
         # Odd rows may stand between the names and the longest run of good rows.
-        block = first_block(lines, layout, header)
-        stream.seek(sum(len(line) + 1 for line in head.split(b"\n")[: block.start]))
+        start, unread_count = first_block(lines, layout)
+        stream.seek(sum(len(line) + 1 for line in head.split(b"\n")[:start]))
         odd: list[str] = []
-        values, notes = _values(stream, layout, odd), []
+        blocks: list[np.ndarray] = []
+        while block := stream.read(_BLOCK_BYTES):
+            blocks += _tables(block + stream.readline(), layout, odd)
+        values, notes = np.concatenate(blocks), []
         if odd:
             shown = ", ".join(f"`{line[:40]}`" for line in odd[:3])
             notes.append(f"{len(odd)} lines are no rows and were left out: {shown}.")
-        if block.above:
+        if unread_count:
             notes.append(
-                f"{block.above} rows of numbers above the table were not read."
+                f"{unread_count} rows of numbers above the table were not read."
             )
     columns = [
         Column(label.name, label.unit, lambda place=place: values[:, place])
-        for place, label in enumerate(header.labels)
+        for place, label in enumerate(labels)
     ]
-    return Table(columns, header_rate(lines[: block.start]), notes=tuple(notes))
+    return Table(columns, header_rate(lines[:start]), notes=tuple(notes))
 
 
-class _Decoded(NamedTuple):
-    """A stream whose rows are ASCII, without a byte order mark, and its encoding."""
-
-    stream: io.BufferedIOBase
-    encoding: str
-
-
-def _decoded(file: io.BufferedIOBase, name: str) -> _Decoded:
+def _decoded(file: io.BufferedIOBase, name: str) -> tuple[io.BufferedIOBase, str]:
+    """Stream whose rows are ASCII, without a byte order mark, and its encoding."""
     begin = file.read(4096)
     file.seek(0)
     for mark, encoding in (
@@ -88,7 +90,7 @@ def _decoded(file: io.BufferedIOBase, name: str) -> _Decoded:
     ):
         if begin.startswith(mark):
             text = file.read()[len(mark) :].decode(encoding, errors="replace")
-            return _Decoded(io.BytesIO(text.encode()), "utf-8")
+            return io.BytesIO(text.encode()), "utf-8"
     # Half of plain text in UTF-16 is zero, and always the same half.
     for encoding, zero, text in (
         ("utf-16-le", begin[1::2], begin[::2]),
@@ -96,7 +98,7 @@ def _decoded(file: io.BufferedIOBase, name: str) -> _Decoded:
     ):
         if zero.count(b"\0") > 0.9 * len(zero) > 0 and b"\0" not in text:
             rows = file.read().decode(encoding, errors="replace")
-            return _Decoded(io.BytesIO(rows.encode()), "utf-8")
+            return io.BytesIO(rows.encode()), "utf-8"
     if b"\0" in begin:
         raise RecordError(
             name,
@@ -106,28 +108,23 @@ def _decoded(file: io.BufferedIOBase, name: str) -> _Decoded:
             ],
         )
     if begin.startswith(codecs.BOM_UTF8):
-        return _Decoded(io.BytesIO(file.read()[len(codecs.BOM_UTF8) :]), "utf-8")
+        return io.BytesIO(file.read()[len(codecs.BOM_UTF8) :]), "utf-8"
     # A character may be cut at the end of what was looked at.
     try:
         codecs.getincrementaldecoder("utf-8")().decode(begin)
     except UnicodeDecodeError:
-        return _Decoded(file, "latin-1")
-    return _Decoded(file, "utf-8")
-
-
-def _values(
-    stream: io.BufferedIOBase, layout: Layout, odd: list[str]
-) -> Float[np.ndarray, "row column"]:
-    """Return the table; `odd` receives what of it is no row."""
-    blocks: list[np.ndarray] = []
-    while block := stream.read(_BLOCK_BYTES):
-        block += stream.readline()
-        blocks += _tables(block, layout, odd)
-    return np.concatenate(blocks)
+        return file, "latin-1"
+    return file, "utf-8"
 
 
 def _tables(block: bytes, layout: Layout, odd: list[str]) -> list[np.ndarray]:
-    """Return the rows of a block, read line by line only around odd lines."""
+    """Rows of a block, read line by line only around lines that are no rows.
+
+    Args:
+        block: Whole lines of the file.
+        layout: Layout of the rows.
+        odd: Receives the lines that are no rows.
+    """
     table = _fast(block, layout)
     if table is not None:
         return [table]

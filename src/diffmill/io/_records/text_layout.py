@@ -17,7 +17,7 @@ from ...units import (
     RECEPTANCE,
     TIME,
 )
-from .record_columns import has_quantity_names
+from .quantity import has_quantity_names
 from .table import ELECTRIC, Label, is_unit, split_unit
 
 # Consecutive rows after which a table needs no further evidence: a header may hold
@@ -57,7 +57,7 @@ class Layout(NamedTuple):
 
 
 def layout_of(lines: list[str]) -> Layout | None:
-    """Return where the longest table in the head starts and how it is written."""
+    """Layout of the longest table in the head of a file, None without a table."""
     best: Layout | None = None
     most = 0
     for delimiter in _DELIMITERS:
@@ -135,14 +135,12 @@ def _numeric_width(line: str, delimiter: str | None) -> int:
     filled = [cell for cell in cells if cell]
     words = [cell for cell in filled if not _is_number(cell)]
     # Several numbers in a cell tell that the delimiter is another one.
-    if words and (delimiter is None or any(map(_are_numbers, words))):
+    if words and (
+        delimiter is None or any(all(map(_is_number, cell.split())) for cell in words)
+    ):
         return 0
     count = len(filled) - len(words)
     return len(cells) if count >= max(2, len(words)) else 0
-
-
-def _are_numbers(cell: str) -> bool:
-    return all(_is_number(part) for part in cell.split())
 
 
 def _is_number(cell: str) -> bool:
@@ -165,7 +163,7 @@ def number_of(cell: str) -> float:
 
 def _seconds_of(cell: str) -> float:
     """Return a date, a time of day or both in seconds, or NaN."""
-    days, rest = 0, cell
+    days, time_of_day = 0, cell
     date = _DATE.match(cell)
     if date is not None:
         first, second = date["one"], date["two"]
@@ -181,38 +179,28 @@ def _seconds_of(cell: str) -> float:
             return float("nan")
         # Seconds since 2000 keep more digits than seconds since the year 1.
         days -= datetime.date(2000, 1, 1).toordinal()
-        rest = cell[date.end() :]
-        if not rest:
+        time_of_day = cell[date.end() :]
+        if not time_of_day:
             return days * 86400.0
-    clock = _CLOCK.fullmatch(rest)
+    clock = _CLOCK.fullmatch(time_of_day)
     if clock is None:
         return float("nan")
-    hour, minute, second, half, sign, ahead, more = clock.groups()
+    hour, minute, second, half, sign, zone_hours, zone_minutes = clock.groups()
     hours = int(hour)
     if half is not None:
         hours = hours % 12 + 12 * (half in "Pp")
     seconds = float((second or "0").replace(",", "."))
     if sign is not None:
-        seconds -= float(f"{sign}1") * (int(ahead) * 3600.0 + int(more) * 60.0)
+        east = int(zone_hours) * 3600.0 + int(zone_minutes) * 60.0
+        seconds -= float(f"{sign}1") * east
     return days * 86400.0 + hours * 3600.0 + int(minute) * 60.0 + seconds
 
 
-class Header(NamedTuple):
-    """What stands above a table.
+def header_of(lines: list[str], layout: Layout) -> tuple[list[Label], int]:
+    """Labels of the columns of a table, and the line after them.
 
-    Attributes:
-        labels: Names and units of the columns.
-        end: The line after them; 0 if there are none.
-        fault: Why the table cannot be read, or None.
+    Columns without a name are numbered; the line is 0 then.
     """
-
-    labels: list[Label]
-    end: int
-    fault: str | None = None
-
-
-def header_of(lines: list[str], layout: Layout) -> Header:
-    """Return the header of a table; columns without a name are numbered."""
     width = layout.width
     units, unit_row = [""] * width, None
     is_nearest = True
@@ -221,78 +209,73 @@ def header_of(lines: list[str], layout: Layout) -> Header:
         if row is None or any(_is_number(cell) for cell in row):
             is_nearest = is_nearest and not lines[index].strip()
             continue
-        bare = [_unbracketed(cell) for cell in row]
+        bare = [c[1:-1].strip() if _is_bracketed(c) else c for c in row]
         if unit_row is None and _are_units(row, bare):
             units, unit_row = bare, index
             continue
         labels = [split_unit(cell, FORCE, TIME) for cell in row]
-        is_sure = has_quantity_names([label.name for label in labels])
-        if unit_row is not None or is_sure or (is_nearest and layout.delimiter):
+        has_known_name = has_quantity_names([label.name for label in labels])
+        if unit_row is not None or has_known_name or (is_nearest and layout.delimiter):
             named = zip(labels, units, strict=True)
             end = max(index, unit_row or 0) + 1
-            return Header([Label(a.name, a.unit or unit) for a, unit in named], end)
+            return [Label(a.name, a.unit or unit) for a, unit in named], end
         is_nearest = False
-    fault = None
+    return [Label(f"column {place}", "") for place in range(1, width + 1)], 0
+
+
+def _is_bracketed(cell: str) -> bool:
+    return cell != "" and cell[0] in "[({<" and cell[-1] in "])}>"
+
+
+def fault_of_header(lines: list[str], layout: Layout) -> str:
+    """Fault of a table with decimal commas between commas, "" of any other."""
     above = [len(cells_of(line, ",")) for line in lines[: layout.start]]
-    if layout.delimiter == "," and any(2 * w - width in (0, 1) for w in above if w > 2):
-        fault = (
-            f"the rows have {width} values, twice as many as the header has names: "
-            "decimal commas need another sign between the columns."
-        )
-    unnamed = [Label(f"column {place}", "") for place in range(1, width + 1)]
-    return Header(unnamed, 0, fault)
+    if layout.delimiter != "," or not any(
+        2 * width - layout.width in (0, 1) for width in above if width > 2
+    ):
+        return ""
+    return (
+        f"the rows have {layout.width} values, twice as many as the header has names: "
+        "decimal commas need another sign between the columns."
+    )
 
 
-def _unbracketed(cell: str) -> str:
-    is_bracketed = cell[:1] in "[({<" and cell[-1:] in "])}>"
-    return cell[1:-1].strip() if cell and is_bracketed else cell
-
-
-class FirstBlock(NamedTuple):
-    """Where the first block of a table begins.
-
-    Attributes:
-        start: The line after the first labels that are those of the table.
-        above: Rows of this width before it, which belong to something else.
-    """
-
-    start: int
-    above: int
-
-
-def first_block(lines: list[str], layout: Layout, header: Header) -> FirstBlock:
-    """Return where the first block of a table begins.
+def first_block(lines: list[str], layout: Layout) -> tuple[int, int]:
+    """First line of the first block of a table, and the number of rows above it.
 
     Programs write the names anew before every cycle, the longest of which decided on
     the layout.
 
     Args:
         lines: The head of the file.
-        layout: How rows are written.
-        header: What stands above the longest block.
+        layout: Layout of the rows of the longest block.
+
+    Returns:
+        The line after the first labels that are those of the table; the number of rows
+        of this width before it, which belong to another table.
     """
-    stop = header.end or layout.start
+    labels, end = header_of(lines, layout)
+    stop = end or layout.start
     is_row = [
         _numeric_width(line, layout.delimiter) == layout.width for line in lines[:stop]
     ]
     begins = np.flatnonzero(np.diff(np.array(is_row, np.int64), prepend=0) > 0)
-    for index in begins if header.end else ():
-        found = header_of(lines, layout._replace(start=int(index)))
-        if found.end and found.labels == header.labels:
-            return FirstBlock(found.end, sum(is_row[: found.end]))
-    return FirstBlock(stop, sum(is_row))
+    for index in begins if end else ():
+        others, start = header_of(lines, layout._replace(start=int(index)))
+        if start and others == labels:
+            return start, sum(is_row[:start])
+    return stop, sum(is_row)
 
 
 def _are_units(row: list[str], bare: list[str]) -> bool:
-    """Return whether a row of labels holds units."""
+    """True if a row of labels, also given without brackets, holds units."""
     if any(is_unit(cell, FORCE) for cell in bare):
         return True
     filled = [(cell, text) for cell, text in zip(row, bare, strict=True) if text]
-    is_bracketed = [cell[0] in "[({<" and cell[-1] in "])}>" for cell, _ in filled]
     responses = (RECEPTANCE, MOBILITY, ACCELERANCE)
     kinds = (TIME, FREQUENCY, ANGLE, LENGTH, *responses)
     return bool(filled) and (
-        all(is_bracketed)
+        all(_is_bracketed(cell) for cell, _ in filled)
         or all(text in (*ELECTRIC, "g") or is_unit(text, *kinds) for _, text in filled)
     )
 

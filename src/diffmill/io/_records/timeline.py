@@ -13,16 +13,15 @@ _SHORTEST_PART = 100
 _APART = 0.6
 # Time between parts that each begin at zero [s]: longer than a pause within a cut.
 _PAUSE = 1.0
-# Share of the rows that may be in doubtful order.
-_OPEN = 0.01
+_DOUBTFUL_ROW_SHARE = 0.01
 # Steps that scatter by more of themselves are said to be uneven.
-_UNEVEN = 0.05
+_UNEVEN_STEP_SHARE = 0.05
 # A clock that steps back by more has passed midnight [s].
 _HALF_DAY, _DAY = 43200.0, 86400.0
 
 
 class Timeline(NamedTuple):
-    """Instants that increase, and from which rows they come.
+    """Instants that increase, and the rows from which they come.
 
     Attributes:
         time: Instants [s], shape (kept,).
@@ -50,8 +49,8 @@ def timeline(
         time: The time column [s], NaN where it has none, or None without a column.
         is_valid: Whether a row has all of its forces.
         rate: Sampling rate that the user or the header gives [Hz], or None.
-        faults: Where what is wrong is added.
-        notes: Where what was repaired is added.
+        faults: Receives faults.
+        notes: Receives repairs.
     """
     has_time = np.ones_like(is_valid) if time is None else np.isfinite(time)
     is_valid = is_valid & has_time
@@ -68,14 +67,12 @@ def timeline(
     # but forces may stand in every second row only, beside a faster channel.
     is_slower = np.median(np.diff(kept)) > 1
     rows = kept if is_slower else np.flatnonzero(has_time).astype(np.int32)
-    ordered = _ordered(_past_midnight(time[rows]), rows, faults, notes)
-    instants, rows = ordered.time, ordered.rows
-    stamps = _stamps(instants)
-    step, resolution = stamps.step, stamps.resolution
+    instants, rows = _ordered(_past_midnight(time[rows]), rows, faults, notes)
+    step, resolution = _stamps(instants)
     if not step > 0:
         faults.append("the time does not increase; name another column or none.")
         return None
-    if rate is not None and _differ(rate * step):
+    if rate is not None and abs(rate * step - 1.0) > _SAME_RATE:
         notes.append(
             f"The rate is given as {rate:g} Hz, but the time column has "
             f"{1 / step:g} Hz, which was used."
@@ -105,7 +102,7 @@ def timeline(
         )
         return None
     uneven = float(np.std(np.diff(instants)[~is_after_gap[1:]])) / step
-    if uneven > _UNEVEN:
+    if uneven > _UNEVEN_STEP_SHARE:
         notes.append(
             f"The samples are not evenly spaced ({uneven:.0%} of a step rms); their "
             "own instants were used."
@@ -127,10 +124,6 @@ def _part(whole: Timeline, kept: Int[np.ndarray, " kept"]) -> Timeline:
     )
 
 
-def _differ(ratio: float) -> bool:
-    return abs(ratio - 1.0) > _SAME_RATE
-
-
 def _counted(
     time: Float[np.ndarray, " row"] | None,
     rows: Int[np.ndarray, " kept"],
@@ -139,15 +132,15 @@ def _counted(
     notes: list[str],
 ) -> Timeline | None:
     """Return instants from the row numbers and the rate."""
-    found = "no time column" if time is None else "one instant in the whole time column"
+    cause = "no time column" if time is None else "one instant in the whole time column"
     if rate is None:
         faults.append(
-            f"found {found} and no sampling rate in the header, or one such as 10,000 "
+            f"found {cause} and no sampling rate in the header, or one such as 10,000 "
             "Hz, which may be ten or ten thousand; give the rate, or name the column "
             "of the time with `channels`."
         )
         return None
-    notes.append(f"There is {found}: the time was counted from the rate {rate:g} Hz.")
+    notes.append(f"There is {cause}: the time was counted from the rate {rate:g} Hz.")
     is_after_gap = np.concatenate([[False], np.diff(rows) > 1])
     return Timeline(rows / rate, rows, is_after_gap, rate)
 
@@ -162,20 +155,20 @@ def _past_midnight(time: Float[np.ndarray, " row"]) -> Float[np.ndarray, " row"]
     return time + _DAY * np.concatenate([[0.0], np.cumsum(is_next)])
 
 
-class _Ordered(NamedTuple):
-    """Instants [s] in order, and their rows in the file, shape (kept,) each."""
-
-    time: Float[np.ndarray, " kept"]
-    rows: Int[np.ndarray, " kept"]
-
-
 def _ordered(
     time: Float[np.ndarray, " row"],
     rows: Int[np.ndarray, " row"],
     faults: list[str],
     notes: list[str],
-) -> _Ordered:
-    """Return rows in the order of time, parts that begin again one after another."""
+) -> tuple[Float[np.ndarray, " kept"], Int[np.ndarray, " kept"]]:
+    """Instants [s] in order and their rows; parts that begin again follow each other.
+
+    Args:
+        time: Stamps of the rows [s], shape (row,).
+        rows: Their numbers in the file, shape (row,).
+        faults: Receives faults.
+        notes: Receives repairs.
+    """
     steps = np.diff(time)
     # Rows without any order step back as often as forward.
     if np.count_nonzero(steps < 0) > 9 * np.count_nonzero(steps > 0):
@@ -190,7 +183,7 @@ def _ordered(
             # Of rows with the same stamp nobody knows which comes first, unless they
             # stand together; blocks in wrong order part few of them.
             is_open = alike & (np.abs(np.diff(order)) != 1)
-            if np.count_nonzero(is_open) > _OPEN * time.size:
+            if np.count_nonzero(is_open) > _DOUBTFUL_ROW_SHARE * time.size:
                 faults.append(
                     "the rows are in wrong order, and the time has too few digits to "
                     "tell which of several rows with the same stamp comes first."
@@ -215,7 +208,7 @@ def _ordered(
     if 0 < count < 0.01 * time.size and np.all(is_short[is_repeat]):
         time, rows = time[~is_repeat], rows[~is_repeat]
         notes.append(f"{count} rows repeat the instant before and were left out.")
-    return _Ordered(time, rows)
+    return time, rows
 
 
 def _in_order(
@@ -250,7 +243,7 @@ def _joined(
 
 
 def _interlock(time: Float[np.ndarray, " row"]) -> bool:
-    """Return whether rows out of order fill each other's gaps: one clock, shuffled."""
+    """True if rows out of order fill each other's gaps: one clock, shuffled."""
     steps = np.diff(time)
     usual = float(np.median(steps[steps > 0]))
     return bool(np.diff(np.sort(time)).min() > _APART * usual)
@@ -259,7 +252,7 @@ def _interlock(time: Float[np.ndarray, " row"]) -> bool:
 def _gaps(
     time: Float[np.ndarray, " sample"], longest: float
 ) -> Bool[np.ndarray, " step"]:
-    """Return which steps are too long for two neighbouring samples.
+    """Gaps: steps that are too long for two neighbouring samples, shape (step,).
 
     Stamps of a fixed number of digits grow coarse as the time grows: beside equal
     stamps a step is a gap only if it is longer than the coarse steps around it, too.
@@ -275,30 +268,24 @@ def _gaps(
     return gaps
 
 
-class _Stamps(NamedTuple):
+def _stamps(time: Float[np.ndarray, " sample"]) -> tuple[float, float]:
     """Time between samples, and resolution of their stamps [s].
 
     The resolution is 0 for stamps that are equally spaced but for gaps.
     """
-
-    step: float
-    resolution: float
-
-
-def _stamps(time: Float[np.ndarray, " sample"]) -> _Stamps:
     steps = np.diff(time)
     moves = steps[steps > 0]
     if moves.size == 0:
-        return _Stamps(0.0, 0.0)
+        return 0.0, 0.0
     typical = float(np.median(moves))
     # Gaps are longer than ten of the steps that stamps with few digits make.
     step = float(steps[steps <= 10 * typical].mean())
     is_typical = np.abs(steps - typical) <= 1e-3 * typical
     if np.mean(is_typical) >= 0.95:
-        return _Stamps(typical, 0.0)
+        return typical, 0.0
     distinct = np.unique(np.round(steps / typical, 3))
     differences = np.diff(distinct)
-    return _Stamps(step, min(1.0, float(differences.min(initial=1.0))) * typical)
+    return step, min(1.0, float(differences.min(initial=1.0))) * typical
 
 
 def _roundest(

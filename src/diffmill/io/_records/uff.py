@@ -12,8 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Complex, Float
 
-from .errors import RecordError
-from .table import Column, Table
+from .table import Column, RecordError, Table
 
 _DELIMITER = re.compile(r"^ {4}-1\s*$")
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[EeDd][+-]?\d+)?")
@@ -58,7 +57,8 @@ def read_uff(path: pathlib.Path) -> Table:
     """
     lines = path.read_bytes().decode("latin-1").splitlines()
     edges = [i for i, line in enumerate(lines) if _DELIMITER.match(line)]
-    functions, others = [], set()
+    functions: list[_Function] = []
+    others: set[str] = set()
     for first, last in zip(edges[::2], [*edges[1::2], len(lines)], strict=False):
         kind, block = lines[first + 1].strip(), lines[first + 2 : last]
         try:
@@ -127,8 +127,8 @@ def _check_units(block: list[str]) -> None:
 
 def _numbers(lines: list[str]) -> list[float]:
     """Return all numbers of lines, which may stand without a blank between them."""
-    found = _NUMBER.findall("\n".join(lines))
-    return [float(text.upper().replace("D", "E")) for text in found]
+    texts = _NUMBER.findall("\n".join(lines))
+    return [float(text.upper().replace("D", "E")) for text in texts]
 
 
 def _function(block: list[str]) -> _Function:
