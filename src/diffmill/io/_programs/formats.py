@@ -76,8 +76,12 @@ def _parsed(text: str, path: pathlib.Path, setup: ProgramSetup) -> Program:
     suffix = path.suffix.lower()
     axis: ToolAxis = setup.tool_axis or "z"
     if suffix in KRL:
-        beside = _data_file(path)
-        data = "" if beside is None else read_text(beside)
+        # The .dat beside it, whatever its capitals.
+        exact = path.with_suffix(".dat")
+        files = [exact] if exact.is_file() else sorted(path.parent.iterdir())
+        files = [one for one in files if one.name.lower() == exact.name.lower()]
+        files = [one for one in files if one.is_file()]
+        data = read_text(files[0]) if files else ""
         return parse_krl(text, data, name=path.name, tool_axis=axis)
     if suffix in RAPID:
         return parse_rapid(text, name=path.name, tool_axis=axis)
@@ -87,7 +91,7 @@ def _parsed(text: str, path: pathlib.Path, setup: ProgramSetup) -> Program:
 
 
 def _tool_axis_problem(suffix: str, axis: ToolAxis | None) -> str:
-    """Return what is wrong with a tool axis for a format; nothing if all is right."""
+    """Fault of a tool axis for the format of a suffix, "" if it is allowed."""
     known: tuple[str | None, ...] = (None, "x", "y", "z", "-x", "-y", "-z")
     if suffix not in KRL + RAPID:
         known = (None, "z", "-z") if suffix == ".csv" else (None,)
@@ -97,16 +101,6 @@ def _tool_axis_problem(suffix: str, axis: ToolAxis | None) -> str:
     return (
         f'found the tool axis "{axis}"; allowed for {PROGRAM_FORMATS[suffix]}: {names}.'
     )
-
-
-def _data_file(path: pathlib.Path) -> pathlib.Path | None:
-    """Return the .dat beside a .src, whatever its capitals; None if there is none."""
-    exact = path.with_suffix(".dat")
-    if exact.is_file():
-        return exact
-    wanted = exact.name.lower()
-    found = (one for one in sorted(path.parent.iterdir()) if one.is_file())
-    return next((one for one in found if one.name.lower() == wanted), None)
 
 
 def allowed() -> str:
@@ -154,7 +148,15 @@ def write_program(
             f"Argument `is_spline` must be false for {suffix}; KRL has SPL."
         )
     if suffix == ".csv":
-        return write_path_csv(_timed(program, tolerance))
+        if isinstance(program, Program):
+            program = sample_program(
+                program.of_tool(),
+                _PERIOD,
+                acceleration=_ACCELERATION,
+                rapid_feed=_RAPID_FEED,
+                corner_tolerance=tolerance if math.isfinite(tolerance) else 0.0,
+            )
+        return write_path_csv(program)
     moves = Program.of_path(program) if isinstance(program, Path) else program
     if suffix in KRL:
         return write_krl(
@@ -171,16 +173,3 @@ def write_program(
     if suffix in APT:
         return write_apt(moves, header=header, tolerance=tolerance)
     return write_moves(moves, header=header, tolerance=tolerance, frame=frame)
-
-
-def _timed(program: Program | Path, tolerance: float) -> Path:
-    """Return a path; a program is timed with the defaults of a job."""
-    if isinstance(program, Path):
-        return program
-    return sample_program(
-        program.of_tool(),
-        _PERIOD,
-        acceleration=_ACCELERATION,
-        rapid_feed=_RAPID_FEED,
-        corner_tolerance=tolerance if math.isfinite(tolerance) else 0.0,
-    )

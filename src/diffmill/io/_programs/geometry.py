@@ -7,7 +7,7 @@ as near to x of `work` as the axis allows.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
@@ -29,6 +29,12 @@ _CONTROLLER_IN_TOOL: Mapping[ToolAxis, Float[np.ndarray, "3 3"]] = {
 }
 # Nearer to B = 90 deg than this, A and C turn about the same axis [rad].
 _GIMBAL_LOCK = 1e-7
+
+
+def point_of(values: Iterable[float]) -> Point:
+    """Point of three numbers, an array's as plain ones."""
+    x, y, z = values.tolist() if isinstance(values, np.ndarray) else values
+    return x, y, z
 
 
 class ToolPlace(NamedTuple):
@@ -71,7 +77,7 @@ def tool_place(
 ) -> ToolPlace:
     """Place of the tool of a tip [m] and the axes of a controller's tool frame."""
     tool = tool_rotation(controller, tool_axis)
-    return ToolPlace(tip, _point(tool[:, 2]), _point(tool[:, 0]))
+    return ToolPlace(tip, point_of(tool[:, 2]), point_of(tool[:, 0]))
 
 
 def abc_of_rotation(
@@ -90,24 +96,19 @@ def abc_of_rotation(
     a = math.atan2(R[1, 0], R[0, 0])
     if math.pi / 2 - abs(b) < _GIMBAL_LOCK:
         a = math.radians(near[0])
-    # What is left for C, so that it fits whatever A is.
+    # Rx(C) = (Rz(A) Ry(B))^T R, so that C fits whatever A is.
     z = rotation_of_abc(math.degrees(a), 0.0, 0.0)
     y = rotation_of_abc(0.0, math.degrees(b), 0.0)
-    rest = (z @ y).T @ R
-    c = math.atan2(rest[2, 1], rest[1, 1])
+    x = (z @ y).T @ R
+    c = math.atan2(x[2, 1], x[1, 1])
     first = (math.degrees(a), math.degrees(b), math.degrees(c))
-    second = _wrapped((first[0] + 180, 180 - first[1], first[2] + 180))
+    other = (first[0] + 180, 180 - first[1], first[2] + 180)
+    second = point_of(math.remainder(angle, 360) for angle in other)
     gaps = [
         sum(abs(math.remainder(u - v, 360)) for u, v in zip(one, near, strict=True))
         for one in (first, second)
     ]
     return second if gaps[1] < gaps[0] - 1e-6 else first
-
-
-def _wrapped(angles: Point) -> Point:
-    """Return angles between -180 and 180 degrees."""
-    a, b, c = (math.remainder(angle, 360) for angle in angles)
-    return a, b, c
 
 
 def rotation_of_abc(a: float, b: float, c: float) -> Float[np.ndarray, "3 3"]:
@@ -155,15 +156,8 @@ def rpy_of_rotation(R: Float[np.ndarray, "3 3"]) -> Point:
     return c, b, a
 
 
-class Circle(NamedTuple):
-    """Centre [m] and unit normal of a circle."""
-
-    centre: Point
-    normal: Point
-
-
-def circle_through(first: Point, middle: Point, last: Point) -> Circle:
-    """Return the circle through three points.
+def circle_through(first: Point, middle: Point, last: Point) -> tuple[Point, Point]:
+    """Centre [m] and unit normal of the circle through three points.
 
     The way from the first over the middle to the last is counter-clockwise about the
     normal.
@@ -179,7 +173,7 @@ def circle_through(first: Point, middle: Point, last: Point) -> Circle:
         raise ValueError("the three points of the circle lie on a line.")
     to_centre = np.cross(across, u) * (v @ v) + np.cross(v, across) * (u @ u)
     centre, normal = a + to_centre / (2 * square), across / math.sqrt(square)
-    return Circle(_point(centre), _point(normal))
+    return point_of(centre), point_of(normal)
 
 
 def rotated(point: Point, centre: Point, normal: Point, angle: float) -> Point:
@@ -188,7 +182,7 @@ def rotated(point: Point, centre: Point, normal: Point, angle: float) -> Point:
         return point
     n, spoke = np.array(normal), np.array(point) - np.array(centre)
     turned = math.cos(angle) * spoke + math.sin(angle) * np.cross(n, spoke)
-    return _point(np.array(centre) + turned)
+    return point_of(np.array(centre) + turned)
 
 
 def arc_points(move: Move, count: int) -> Float[np.ndarray, "point 3"]:
@@ -250,16 +244,10 @@ def arc_parts(move: Move, count: int, *, before: Move | None = None) -> list[Mov
     axes = move.axes_at(share, before.axis)
     sides = move.tool_x_at(share, before, axes)
     for index, row in enumerate(arc_points(move, count)):
-        end = _point(row)
-        part = move._replace(start=start, end=end, axis=_point(axes[index]), rest=0.0)
-        side = None if sides is None else _point(sides[index])
+        end, axis = point_of(row), point_of(axes[index])
+        part = move._replace(start=start, end=end, axis=axis, rest=0.0)
+        side = None if sides is None else point_of(sides[index])
         parts.append(part._replace(tool_x=side))
         start = end
     parts[-1] = parts[-1]._replace(axis=move.axis, tool_x=move.tool_x, rest=move.rest)
     return parts
-
-
-def _point(values: Float[np.ndarray, " 3"]) -> Point:
-    """Return three numbers as a point."""
-    x, y, z = values.tolist()
-    return x, y, z

@@ -37,25 +37,17 @@ def fault_of_statement(text: str) -> str:
     if len(text) > MOST_DIGITS and _LONG_NUMBER.search(text):
         return f"a number has {MOST_DIGITS} digits at most."
     # Most statements have too few brackets to be nested deeply.
-    if sum(map(text.count, "([{")) > DEEPEST_NESTING < _nesting(text):
-        return f"brackets are nested deeper than {DEEPEST_NESTING}."
+    if sum(map(text.count, "([{")) > DEEPEST_NESTING:
+        depth = 0
+        for letter in text:
+            depth += (letter in "([{") - (letter in ")]}")
+            if depth > DEEPEST_NESTING:
+                return f"brackets are nested deeper than {DEEPEST_NESTING}."
     return ""
 
 
-def _nesting(text: str) -> int:
-    """Largest number of brackets that are open at a place of a text."""
-    deepest = depth = 0
-    for letter in text:
-        if letter in "([{":
-            depth += 1
-            deepest = max(deepest, depth)
-        elif letter in ")]}":
-            depth -= 1
-    return deepest
-
-
 def is_plain(move: Move) -> bool:
-    """Whether a move is a straight one without a fault, as most are."""
+    """True if a move is a straight one without a fault, as most are."""
     (x, y, z), feed = move.end, move.feed
     return (
         -FARTHEST <= x <= FARTHEST
@@ -98,7 +90,7 @@ def fault_of(move: Move) -> str:
 
 
 def _is_near(point: Point) -> bool:
-    """Whether a point lies near enough; NaN does."""
+    """True if a point lies near enough; NaN does."""
     x, y, z = point
     return not (abs(x) > FARTHEST or abs(y) > FARTHEST or abs(z) > FARTHEST)
 

@@ -20,11 +20,20 @@ _LISTED = 3
 
 @dataclass
 class _Note:
-    """One kind of note: its sentence, and where it holds."""
+    """One kind of note: its word and sentence, its first lines and their number."""
 
+    word: str
     sentence: str
     lines: list[int] = field(default_factory=list)
     count: int = 0
+
+    def __str__(self) -> str:
+        """Return the note as text: lines, word and sentence."""
+        lines = ", ".join(str(line) for line in self.lines)
+        more = self.count - len(self.lines) if self.count > _LISTED else 0
+        lines += f" and {more} more" if more else ""
+        plural = "s" if self.count > 1 else ""
+        return f"line{plural} {lines}: {self.word}: {self.sentence}"
 
 
 @dataclass
@@ -67,7 +76,7 @@ class MoveList:
 
     @property
     def has_section(self) -> bool:
-        """Whether the section at work has moves."""
+        """True if the section at work has moves."""
         return len(self.moves) > self._first
 
     def add(self, move: Move, axes: str) -> None:
@@ -83,7 +92,9 @@ class MoveList:
         if not is_plain(move):
             if message := fault_of(move):
                 self.faults.append(Fault(move.line, "", message))
-            if self._unknown is None and math.isnan(_sum(move)):
+            numbers = (*move.start, *move.end, *(move.centre or ()))
+            numbers += (move.feed or 0.0, move.duration or 0.0)
+            if self._unknown is None and any(map(math.isnan, numbers)):
                 self._unknown = move.line
         if len(self.moves) >= MOST_MOVES:
             self.reserve(1, move.line)
@@ -161,7 +172,7 @@ class MoveList:
 
     def note(self, word: str, sentence: str, line: int) -> None:
         """Note a word that changes no motion, or an assumption."""
-        note = self._notes.setdefault((word, sentence), _Note(sentence))
+        note = self._notes.setdefault((word, sentence), _Note(word, sentence))
         note.count += 1
         if len(note.lines) < _LISTED and line not in note.lines:
             note.lines.append(line)
@@ -189,9 +200,7 @@ class MoveList:
             source=text,
             name=self.name,
             sections=tuple(self.sections),
-            notes=tuple(
-                _sentence(word, note) for (word, _), note in self._notes.items()
-            ),
+            notes=tuple(map(str, self._notes.values())),
         )
 
     def _note_speeds(self) -> None:
@@ -229,17 +238,3 @@ class MoveList:
                     self._line,
                 )
             )
-
-
-def _sum(move: Move) -> float:
-    """Sum of the numbers of a move; NaN where one of them is."""
-    out = sum(move.start) + sum(move.end) + (move.feed or 0.0) + (move.duration or 0.0)
-    return out if move.centre is None else out + sum(move.centre)
-
-
-def _sentence(word: str, note: _Note) -> str:
-    """Return a note as text: where, which word, and what of it."""
-    lines = ", ".join(str(line) for line in note.lines)
-    more = f" and {note.count - len(note.lines)} more" if note.count > _LISTED else ""
-    plural = "s" if note.count > 1 else ""
-    return f"line{plural} {lines}{more}: {word}: {note.sentence}"

@@ -9,7 +9,7 @@ from .geometry import ToolAxis
 
 @dataclasses.dataclass(frozen=True)
 class ProgramSetup:
-    """What the operator of a machine sets up before a program runs.
+    """Settings that the operator of a machine makes before a program runs.
 
     Attributes:
         feed: Feed of moves for which the program gives none [m/s], or None.

@@ -14,7 +14,7 @@ _HEADER = "time_s,dx_mm,dy_mm,dz_mm"
 
 
 class OffsetStream(NamedTuple):
-    """What is added to a program in every cycle of its controller, in `work`.
+    """Offsets to a program in every cycle of its controller, in `work`.
 
     Attributes:
         time: Since the start of the motion [s], shape (cycle,).
@@ -92,7 +92,7 @@ class OffsetStream(NamedTuple):
         return float(np.max(steps, initial=0.0))
 
     def at(self, time: Float[np.ndarray, " row"]) -> Float[np.ndarray, "row 3"]:
-        """Return what a controller adds that goes evenly from cycle to cycle [m].
+        """Offsets of a controller that goes evenly from cycle to cycle [m].
 
         Args:
             time: Since the start of the motion [s], shape (row,).

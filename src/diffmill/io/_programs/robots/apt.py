@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from ....toolpath import Move, Point, Program
 from ..faults import SHOWN_FAULTS, Fault
+from ..geometry import point_of
 from ..limits import (
     LARGEST_NUMBER,
     LARGEST_SPEED_RPM,
@@ -37,6 +38,7 @@ _CLEARANCE = 0.254e-3
 _FEED_UNITS = {"MMPM": 1.0, "IPM": _MM_PER_INCH, "PERMIN": None}
 _FEEDS_OF_TURN = {"MMPR": 1.0, "IPR": _MM_PER_INCH, "PERREV": None}
 _UNITS = {"MM": 1.0, "INCHES": _MM_PER_INCH, "INCH": _MM_PER_INCH}
+_UNIT_NAMES = {1.0: "millimetres", _MM_PER_INCH: "inches"}
 _UNITS_OF_FEEDS = {
     unit: scale
     for unit, scale in (_FEED_UNITS | _FEEDS_OF_TURN).items()
@@ -54,30 +56,11 @@ _CREO = re.compile(r"\s*\$\$->")
 _SPIRAL = 5e-5
 
 
-class _Units(NamedTuple):
-    """Unit of the lengths of a program, and the statement that tells it.
-
-    Attributes:
-        scale: Millimetres per unit.
-        line: Line of the statement; 0 without one.
-        word: Its major word; empty without one.
-    """
-
-    scale: float = 1.0
-    line: int = 0
-    word: str = ""
-
-    @property
-    def name(self) -> str:
-        """Name of the unit."""
-        return "millimetres" if self.scale == 1.0 else "inches"
-
-
 class _Statement(NamedTuple):
     """A statement, with the line on which it begins."""
 
-    row: str
-    line: int
+    row: str = ""
+    line: int = 0
 
     @property
     def word(self) -> str:
@@ -86,17 +69,23 @@ class _Statement(NamedTuple):
 
     @property
     def parts(self) -> list[str]:
-        """What stands behind the slash, in upper case."""
-        rest = self.row.partition("/")[2]
-        return [part.strip().upper() for part in rest.split(",") if part.strip()]
+        """Words and numbers behind the slash, in upper case."""
+        minor = self.row.partition("/")[2]
+        return [part.strip().upper() for part in minor.split(",") if part.strip()]
+
+    @property
+    def numbers(self) -> list[float]:
+        """Numbers behind the slash."""
+        return [float(part) for part in self.parts if _is_number(part)]
 
 
 class _Apt(Reader):
     """State of the reader of APT."""
 
-    def __init__(self, units: _Units) -> None:
+    def __init__(self, scale: float) -> None:
         super().__init__()
-        self.units, self.scale = units, units.scale
+        # Millimetres per unit of length.
+        self.scale = scale
         self.frames: dict[str, tuple[float | str, ...]] = dict(_FRAMES)
         self.is_rapid = False
         self.spindle = 0.0
@@ -104,6 +93,10 @@ class _Apt(Reader):
         self.circle: list[float] | None = None
         self.cycle: dict[str, float] | None = None
         self.cycle_feed: float | None = None
+
+    def reject(self, statement: _Statement, message: str) -> None:
+        """Report a fault of a statement."""
+        self.refuse(statement.line, statement.row, message)
 
 
 def parse_apt(text: str, *, name: str = "program.apt") -> Program:
@@ -114,38 +107,39 @@ def parse_apt(text: str, *, name: str = "program.apt") -> Program:
     """
     statements = list(_statements(split_lines(text, name)))
     faults: list[Fault] = []
-    reader = _Apt(_units(statements, faults))
+    scale, source = _length_unit(statements, faults)
+    reader = _Apt(scale)
     reader.out.name, reader.out.faults = name, faults
     for statement in statements:
         _carry_out(statement, reader)
         if len(reader.faults) > SHOWN_FAULTS:
             break
-    units = reader.units
-    if units.word not in ("UNITS", "UNIT"):
-        sentence = f"as {units.word} says; there is no UNITS"
-        if not units.word:
+    if source.word not in ("UNITS", "UNIT"):
+        sentence = f"as {source.word} says; there is no UNITS"
+        if not source.word:
             sentence = "there is no UNITS, and no unit of a feed says otherwise"
-        reader.out.note(f"lengths are {units.name}", sentence, max(units.line, 1))
+        word = f"lengths are {_UNIT_NAMES[scale]}"
+        reader.out.note(word, sentence, max(source.line, 1))
     return reader.out.finish(text)
 
 
 def _statements(rows: list[str]) -> Iterator[_Statement]:
     """Yield the statements up to FINI."""
-    held, begun, is_comment = "", 0, False
+    text, begun, is_comment = "", 0, False
     for number, row in enumerate(rows, 1):
-        if not held and (said := _TEXT.match(row)):
-            yield _Statement(said[0].strip(), number)
+        if not text and (word := _TEXT.match(row)):
+            yield _Statement(word[0].strip(), number)
             continue
-        if not held and (mark := _CREO.match(row)):
+        if not text and (mark := _CREO.match(row)):
             row, is_comment = row[mark.end() :], True
         bare = row.split("$$")[0]
         # A $ goes on in the next line; what stands behind it is a comment.
         bare, dollar, _ = bare.partition("$")
-        begun = begun if held else number
-        held += bare.strip()
+        begun = begun if text else number
+        text += bare.strip()
         if dollar:
             continue
-        statement, held = _Statement(held.strip(), begun), ""
+        statement, text = _Statement(text.strip(), begun), ""
         if is_comment and statement.word not in _FRAMES:
             statement = _Statement("", begun)
         is_comment = False
@@ -155,13 +149,15 @@ def _statements(rows: list[str]) -> Iterator[_Statement]:
             yield statement
 
 
-def _units(statements: Sequence[_Statement], faults: list[Fault]) -> _Units:
-    """Unit of the lengths: that of UNITS, or else of the feeds.
+def _length_unit(
+    statements: Sequence[_Statement], faults: list[Fault]
+) -> tuple[float, _Statement]:
+    """Millimetres per unit of length, and the statement that tells it, if one does.
 
-    Systems write inches per minute in programs whose lengths are inches; statements of
-    both units are refused.
+    It is that of UNITS, or else of the feeds: systems write inches per minute in
+    programs whose lengths are inches. Statements of both units are refused.
     """
-    found: _Units | None = None
+    first: tuple[float, _Statement] | None = None
     for word in (("UNITS", "UNIT"), ("FEDRAT", "CYCLE")):
         for statement in statements:
             if statement.word not in word:
@@ -169,73 +165,65 @@ def _units(statements: Sequence[_Statement], faults: list[Fault]) -> _Units:
             known = _UNITS if "UNITS" in word else _UNITS_OF_FEEDS
             scales = {known[part] for part in statement.parts if part in known}
             for scale in sorted(scales):
-                unit = _Units(scale, statement.line, statement.word)
-                found = unit if found is None else found
-                if found.scale != scale:
-                    message = f"{unit.name} contradict the {found.name} of "
-                    message += f"{found.word} in line {found.line}."
-                    faults.append(Fault(unit.line, statement.row[:40], message))
-    return _Units() if found is None else found
+                first = (scale, statement) if first is None else first
+                if first[0] != scale:
+                    message = f"{_UNIT_NAMES[scale]} contradict the "
+                    message += f"{_UNIT_NAMES[first[0]]} of {first[1].word} in line "
+                    message += f"{first[1].line}."
+                    faults.append(Fault(statement.line, statement.row[:40], message))
+    return (1.0, _Statement()) if first is None else first
 
 
 def _carry_out(statement: _Statement, reader: _Apt) -> None:
     """Carry out one statement."""
-    row, line = statement
-    word, parts = statement.word, statement.parts
-    if message := fault_of_statement(row):
-        reader.refuse(line, row, message)
-    elif word in ("GOTO", "FROM", "GODLTA", "GOHOME", "CIRCLE"):
-        _motion(word, row, parts, line, reader)
-    elif word == "RAPID":
+    if message := fault_of_statement(statement.row):
+        reader.reject(statement, message)
+        return
+    word, line = statement.word, statement.line
+    if word in _STATEMENTS:
+        _STATEMENTS[word](statement, reader)
+        return
+    parts = statement.parts
+    if word == "RAPID":
         reader.is_rapid = True
-    elif word == "FEDRAT":
-        _feed(row, parts, line, reader)
     elif word in ("UNITS", "UNIT"):
         if not parts or parts[0] not in _UNITS:
-            reader.refuse(line, row, f"allowed are {', '.join(_UNITS)}.")
-    elif word == "SPINDL":
-        _set_speed(row, parts, line, reader)
-    elif word == "TLAXIS":
-        _set_axis(row, parts, line, reader)
+            reader.reject(statement, f"allowed are {', '.join(_UNITS)}.")
     elif word == "LOADTL" or (word == "LOAD" and parts[:1] == ["TOOL"]):
-        numbers = [part for part in parts if _is_number(part)]
-        if not numbers:
-            reader.refuse(line, row, "needed is the number of a tool.")
+        if not statement.numbers:
+            reader.reject(statement, "needed is the number of a tool.")
             return
-        reader.out.change_tool(round(float(numbers[0])), line)
+        reader.out.change_tool(round(statement.numbers[0]), line)
     elif word == "DELAY" and parts and _is_number(parts[0]):
         reader.out.dwell(float(parts[0]), line)
-    elif word == "CYCLE":
-        _cycle(row, parts, line, reader)
-    elif word in _FRAMES:
-        _set_frame(word, row, parts, line, reader)
     elif word == "MODE" and "INCR" in parts:
-        reader.refuse(line, row, "points as distances are not supported.")
+        reader.reject(statement, "points as distances are not supported.")
     elif word == "CUTCOM":
         sentence = "the points are taken to be those of the tool's centre"
         reader.out.note(word, sentence, line)
     elif word.split(" ")[0] in _QUIET or not word:
         reader.out.note(word.split(" ")[0], "changes no motion here", line)
     else:
-        reader.refuse(line, row, "is no plain motion and is not supported.")
+        reader.reject(statement, "is no plain motion and is not supported.")
 
 
-def _set_speed(row: str, parts: list[str], line: int, reader: _Apt) -> None:
+def _set_speed(statement: _Statement, reader: _Apt) -> None:
     """Apply SPINDL: the speed of the spindle, if it states one."""
-    speeds = [float(part) for part in parts if _is_number(part)]
+    speeds = statement.numbers
     if not speeds:
         return
     if not 0 <= speeds[0] <= LARGEST_SPEED_RPM:
         message = f"a spindle speed lies between 0 and {LARGEST_SPEED_RPM:g} rpm."
-        reader.refuse(line, row, message)
+        reader.reject(statement, message)
     reader.spindle = speeds[0]
     if reader.feed_per_turn is not None:
         reader.feed = reader.feed_per_turn * reader.spindle
     reader.out.set_speed(speeds[0] * 2 * math.pi / 60)
 
 
-def _set_frame(word: str, row: str, parts: list[str], line: int, reader: _Apt) -> None:
+def _set_frame(statement: _Statement, reader: _Apt) -> None:
     """Apply CSYS, MSYS or TRNTYP: one frame for all motion is `work`."""
+    word, parts = statement.word, statement.parts
     frame = tuple(float(part) if _is_number(part) else part for part in parts)
     plain = _FRAMES[word]
     is_plain = len(frame) == len(plain) and all(
@@ -245,85 +233,87 @@ def _set_frame(word: str, row: str, parts: list[str], line: int, reader: _Apt) -
     frame = plain if is_plain else frame
     if frame != reader.frames[word] and reader.out.moves:
         message = "another frame than that of the motion before it is not supported."
-        reader.refuse(line, row, message)
+        reader.reject(statement, message)
     reader.frames[word] = frame
     sentence = "is the frame of all motion, which is taken to be work"
-    reader.out.note(word, "changes no motion here" if is_plain else sentence, line)
+    sentence = "changes no motion here" if is_plain else sentence
+    reader.out.note(word, sentence, statement.line)
 
 
-def _set_axis(row: str, parts: list[str], line: int, reader: _Apt) -> None:
+def _set_axis(statement: _Statement, reader: _Apt) -> None:
     """Apply TLAXIS: the tool axis of the points that state none."""
-    numbers = [float(part) for part in parts if _is_number(part)]
+    numbers = statement.numbers
     if len(numbers) == 3 and math.hypot(*numbers) > 0:
         length = math.hypot(*numbers)
-        i, j, k = (value / length for value in numbers)
-        reader.axis = i, j, k
+        reader.axis = point_of(value / length for value in numbers)
     elif len(numbers) > 1:
-        reader.refuse(line, row, "the tool axis has 3 numbers.")
+        reader.reject(statement, "the tool axis has 3 numbers.")
 
 
 def _is_number(text: str) -> bool:
-    """Return whether a text is a number that is not too large."""
+    """True if a text is a number that is not too large."""
     if re.fullmatch(r"[+-]?(\d+\.?\d*|\.\d+)(E[+-]?\d+)?", text) is None:
         return False
     return abs(float(text)) <= LARGEST_NUMBER
 
 
-def _feed(row: str, parts: list[str], line: int, reader: _Apt) -> None:
+def _set_feed(statement: _Statement, reader: _Apt) -> None:
     """Apply FEDRAT: it ends RAPID, and counts per minute unless it says otherwise."""
-    numbers = [part for part in parts if _is_number(part)]
-    units = [part for part in parts if not _is_number(part)]
+    numbers = statement.numbers
+    units = [part for part in statement.parts if not _is_number(part)]
     unit = units[0] if units else "PERMIN"
     known = _FEED_UNITS | _FEEDS_OF_TURN
-    if len(numbers) != 1 or unit not in known or not float(numbers[0]) > 0:
-        allowed = ", ".join(known)
-        reader.refuse(line, row, f"needed is a feed above 0, with one of {allowed}.")
+    if len(numbers) != 1 or unit not in known or not numbers[0] > 0:
+        message = f"needed is a feed above 0, with one of {', '.join(known)}."
+        reader.reject(statement, message)
         return
-    reader.feed = float(numbers[0]) * (known[unit] or reader.scale) * 1e-3 / 60
+    reader.feed = numbers[0] * (known[unit] or reader.scale) * 1e-3 / 60
     reader.feed_per_turn = None
     if unit in _FEEDS_OF_TURN:
         reader.feed_per_turn = reader.feed
         reader.feed *= reader.spindle
         if reader.spindle == 0:
-            reader.refuse(line, row, "a feed per turn needs a SPINDL before it.")
+            message = "a feed per turn needs a SPINDL before it."
+            reader.reject(statement, message)
     reader.is_rapid = False
 
 
-def _motion(word: str, row: str, parts: list[str], line: int, reader: _Apt) -> None:
+def _move(statement: _Statement, reader: _Apt) -> None:
     """Carry out a motion, or keep the circle of the next."""
+    word, parts, line = statement.word, statement.parts, statement.line
     # A circle also tells its radius, tolerances and the cutter.
     counts = (6, 7, 8, 9, 10, 11) if word == "CIRCLE" else (3, 6, 7)
     if not all(_is_number(part) for part in parts) or len(parts) not in counts:
         message = f"needed are 3 numbers up to {LARGEST_NUMBER:g}, or 6 with the tool "
-        reader.refuse(line, row, message + "axis.")
+        reader.reject(statement, message + "axis.")
         return
     numbers = [float(part) for part in parts]
     if word == "CIRCLE":
         reader.circle = numbers
         return
     if word == "GOHOME":
-        reader.refuse(line, row, "where home is, the program does not say.")
+        reader.reject(statement, "where home is, the program does not say.")
         return
     x, y, z = (1e-3 * reader.scale * value for value in numbers[:3])
     point, axis = (x, y, z), reader.axis
     if word == "GODLTA":
         if not reader.is_placed:
-            reader.refuse(line, row, "it needs a motion to a stated place before it.")
+            message = "it needs a motion to a stated place before it."
+            reader.reject(statement, message)
         a, b, c = reader.position
         point = (a + x, b + y, c + z)
     elif len(numbers) >= 6:
         length = math.hypot(*numbers[3:6])
         if abs(length - 1) > 1e-2:
-            reader.refuse(line, row, "the tool axis is a unit vector.")
+            reader.reject(statement, "the tool axis is a unit vector.")
             return
-        i, j, k = (value / length for value in numbers[3:6])
-        axis = (i, j, k)
+        axis = point_of(value / length for value in numbers[3:6])
     if word == "FROM":
         if reader.out.has_section and point != reader.position:
             message = "it tells where the tool is before a program or a tool begins; "
-            reader.refuse(line, row, message + "a motion stands before it.")
+            reader.reject(statement, message + "a motion stands before it.")
         if message := fault_of(Move(point, point)):
-            reader.refuse(line, row, message)
+            reader.reject(statement, message)
         reader.position, reader.axis, reader.is_placed = point, axis, True
         reader.out.known.update("XYZ")
         return
@@ -371,8 +361,9 @@ def _circle(point: Point, axis: Point, line: int, reader: _Apt) -> None:
     reader.position, reader.axis = point, axis
 
 
-def _cycle(row: str, parts: list[str], line: int, reader: _Apt) -> None:
+def _set_cycle(statement: _Statement, reader: _Apt) -> None:
     """Apply CYCLE: drilling as plunges."""
+    parts = statement.parts
     kind = parts[0] if parts else ""
     if kind in ("OFF", "INIT"):
         reader.cycle = None
@@ -385,7 +376,7 @@ def _cycle(row: str, parts: list[str], line: int, reader: _Apt) -> None:
         message = f"allowed are OFF, INIT, {', '.join(sorted(_DRILLS))} with FEDTO and "
         message += f"RAPTO, and {', '.join(sorted(_DEEP))} with 1STPECK and SUBPECK "
         message += "too, depths other than 0."
-        reader.refuse(line, row, message)
+        reader.reject(statement, message)
         reader.cycle = {"FEDTO": 0.0, "RAPTO": 0.0}
         reader.cycle_feed = 1.0
         return
@@ -393,16 +384,16 @@ def _cycle(row: str, parts: list[str], line: int, reader: _Apt) -> None:
         if words.get(word, 1.0) < 0:
             words[word] = -words[word]
             sentence = "is negative, and taken as so far below the point"
-            reader.out.note(word, sentence, line)
+            reader.out.note(word, sentence, statement.line)
     known = {*_OF_CYCLES, *_DEPTHS, *_FEED_UNITS, *_FEEDS_OF_TURN}
     for word in parts[1:]:
         if not (_is_number(word) or word in known):
-            reader.refuse(line, row, f"{word} of a cycle is not supported.")
+            reader.reject(statement, f"{word} of a cycle is not supported.")
     for unit in _FEEDS_OF_TURN:
         if unit in words:
-            reader.refuse(line, row, "a feed per turn is not supported in a cycle.")
+            reader.reject(statement, "a feed per turn is not supported in a cycle.")
     if "DWELL" in words and "REV" in parts:
-        reader.refuse(line, row, "a rest in revolutions is not supported.")
+        reader.reject(statement, "a rest in revolutions is not supported.")
     for unit, scale in _FEED_UNITS.items():
         if unit in words:
             reader.cycle_feed = words[unit] * (scale or reader.scale) * 1e-3 / 60
@@ -449,3 +440,13 @@ def _peck_depths(cycle: dict[str, float], line: int, reader: _Apt) -> list[float
         message = "each peck goes out to RAPTO and back to 0.254 mm above its depth"
         reader.out.note("CYCLE", message, line)
     return [first + step * index for index in range(count)]
+
+
+_STATEMENTS = {
+    **dict.fromkeys(("GOTO", "FROM", "GODLTA", "GOHOME", "CIRCLE"), _move),
+    **dict.fromkeys(_FRAMES, _set_frame),
+    "FEDRAT": _set_feed,
+    "SPINDL": _set_speed,
+    "TLAXIS": _set_axis,
+    "CYCLE": _set_cycle,
+}

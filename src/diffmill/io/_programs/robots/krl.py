@@ -27,9 +27,8 @@ from ..geometry import (
 )
 from ..limits import LARGEST_NUMBER, bounded_number, fault_of_statement
 from ..text import split_lines
-from .external_axes import ExternalAxes
 from .krl_frames import KrlFrames, numbered_base
-from .reader import Reader
+from .reader import ExternalAxes, Reader
 
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _COMPONENT = re.compile(rf"\s*([A-Z]\d?)\s+({_NUMBER})\s*", re.IGNORECASE)
@@ -186,18 +185,16 @@ def parse_krl(
     frames = reader.base_and_tool
     reader.note_upright_axis()
     program = reader.out.finish(text)
-    poses = [frames.tool_pose(part.tool, reader) for part in program.sections]
-    base = frames.base_pose()
+    sections = []
+    for part in program.sections:
+        position, rpy = frames.tool_pose(part.tool, reader) or (None, None)
+        sections.append(part._replace(tool_position=position, tool_rpy=rpy))
+    position, rpy = frames.base_pose() or (None, None)
     return dataclasses.replace(
         program,
-        sections=tuple(
-            part
-            if pose is None
-            else part._replace(tool_position=pose.position, tool_rpy=pose.rpy)
-            for part, pose in zip(program.sections, poses, strict=True)
-        ),
-        work_position=None if base is None else base.position,
-        work_rpy=None if base is None else base.rpy,
+        sections=tuple(sections),
+        work_position=position,
+        work_rpy=rpy,
         first_angles=reader.first_angles,
     )
 
@@ -452,7 +449,10 @@ def _motion(
         if wanted == 2 and reader.turns["CIRC_TYPE"] == "PATH":
             message = "an orientation that follows the circle is not supported."
             reader.refuse(line, rest, message)
-        found = [_without_angles(pose) for pose in found]
+        found = [
+            {key: value for key, value in pose.items() if key not in "ABC"}
+            for pose in found
+        ]
     _take_orientation(found[-1], line, reader)
     middle = _apply(found[0], dict(reader.values))
     reader.values = _apply(found[-1], reader.values)
@@ -480,13 +480,8 @@ def _motion(
     reader.feed, reader.base_and_tool.chosen, reader.turns = before, chosen, turns
 
 
-def _without_angles(pose: dict[str, float]) -> dict[str, float]:
-    """Return a position without its orientation."""
-    return {key: value for key, value in pose.items() if key not in "ABC"}
-
-
 def _take_orientation(pose: dict[str, float], line: int, reader: _Krl) -> None:
-    """Take over whether an orientation is stated, and the first of all."""
+    """Note an orientation that is not stated, or keep the first that is."""
     if not reader.is_turned and not set("ABC") & set(pose):
         sentence = "are not stated; the tool is taken to stand upright"
         reader.out.note("A, B, C", sentence, line)
@@ -500,7 +495,7 @@ def _take_orientation(pose: dict[str, float], line: int, reader: _Krl) -> None:
 def _moved(
     pose: dict[str, float], is_tool: bool, row: str, line: int, reader: _Krl
 ) -> dict[str, float]:
-    """Return where a relative motion ends, from where the tool is."""
+    """Components of the end of a relative motion [mm]."""
     values = reader.values
     step = np.array([pose.get(key, 0.0) for key in "XYZ"])
     if any(pose.get(key) for key in "ABC"):

@@ -26,14 +26,27 @@ _NULL: Frame = dict.fromkeys("XYZABC", 0.0)
 
 
 class FrameData(NamedTuple):
-    """What FDAT data of an inline form state: tool, base, and whether the tool stands.
+    """FDAT data of an inline form: numbers of tool and base, None where it states none.
 
-    None where they state none.
+    Attributes:
+        tool: Number of the tool.
+        base: Number of the base.
+        is_external: Whether the work moves about a tool that stands.
     """
 
     tool: int | None
     base: int | None
     is_external: bool
+
+    @classmethod
+    def of(cls, text: str) -> "FrameData":
+        """Return data such as {TOOL_NO 1,BASE_NO 2,IPO_FRAME #BASE}."""
+        tool, base = _TOOL.search(text), _BASE.search(text)
+        return cls(
+            None if tool is None else int(tool[1]),
+            None if base is None else int(base[1]),
+            _EXTERNAL.search(text) is not None,
+        )
 
 
 class ChosenFrames(NamedTuple):
@@ -68,7 +81,7 @@ class KrlTool(NamedTuple):
 
     @property
     def key(self) -> str:
-        """What makes it another tool than another."""
+        """Key of the tool: two tools of one key are the same."""
         if self.frame is None:
             return self.name
         return ",".join(f"{self.frame.get(key, 0.0):.6f}" for key in "XYZABC")
@@ -94,7 +107,7 @@ class KrlFrames:
 
     def declare(self, name: str, text: str) -> None:
         """Keep FDAT data, such as {TOOL_NO 1,BASE_NO 2,IPO_FRAME #BASE}."""
-        self._data[name.upper()] = _data(text)
+        self._data[name.upper()] = FrameData.of(text)
 
     def choose_base(self, base: Frame, line: int) -> None:
         """Let a base hold."""
@@ -127,16 +140,16 @@ class KrlFrames:
         self.chosen = self.chosen._replace(is_external=is_external)
 
     def is_undeclared(self, value: str) -> bool:
-        """Whether a value names data of an inline form that nobody declares."""
+        """True if a value names data of an inline form that nobody declares."""
         return bool(_OF_DATA.fullmatch(value.strip())) and self.named(value) is None
 
     def named(self, value: str) -> FrameData | None:
         """Return the data that a value such as SBASE(FP1.BASE_NO) or FP1 names."""
         value = value.strip()
         if value.startswith("{"):
-            return _data(value)
-        found = _OF_DATA.fullmatch(value)
-        return self._data.get((found[1] if found else value).upper())
+            return FrameData.of(value)
+        named = _OF_DATA.fullmatch(value)
+        return self._data.get((named[1] if named else value).upper())
 
     def choose_data(
         self, data: FrameData, frames: Mapping[str, Frame], line: int
@@ -184,10 +197,10 @@ class KrlFrames:
             self._number(before, 1, line, reader)
             reader.out.name_tool(1)
         if tool.key not in self._numbers:
-            taken = self._numbers.values()
+            used = self._numbers.values()
             number = tool.number
-            if number is None or number in taken:
-                number = next(n for n in range(1, len(taken) + 2) if n not in taken)
+            if number is None or number in used:
+                number = next(n for n in range(1, len(used) + 2) if n not in used)
             self._number(tool, number, line, reader)
         reader.is_placed = reader.is_placed and not reader.out.moves
         reader.out.change_tool(self._numbers[tool.key] or 0, line)
@@ -198,44 +211,41 @@ class KrlFrames:
         if number != tool.number:
             reader.out.note(f"tool {number}", f"stands for {tool.name}", line)
 
-    def base_pose(self) -> "StatedPose | None":
-        """Pose of `work` in the base of the robot, if the program states it."""
+    def base_pose(self) -> tuple[Point, Point] | None:
+        """Position [m] and roll, pitch, yaw [rad] of `work` in the base of the robot.
+
+        None if the program does not state them.
+        """
         base = None if self._used is None else self._used.base
         if base is None or not _is_known(base):
             return None
-        return _pose(base, rotation_of_abc(*(base.get(key, 0.0) for key in "ABC")))
+        position, R = _pose(base)
+        return position, rpy_of_rotation(R)
 
-    def tool_pose(self, number: int | None, reader: Reader) -> "StatedPose | None":
-        """Pose of a tool in the flange, z up the shank, if the program states it."""
+    def tool_pose(
+        self, number: int | None, reader: Reader
+    ) -> tuple[Point, Point] | None:
+        """Position [m] and roll, pitch, yaw [rad] of a tool in the flange.
+
+        Its z is up the shank. None if the program does not state them.
+        """
         keys = [key for key, own in self._numbers.items() if own == number]
         frame = self._tools[keys[0]].frame if keys else None
         if frame is None or not _is_known(frame):
             return None
-        R = rotation_of_abc(*(frame.get(key, 0.0) for key in "ABC"))
-        return _pose(frame, tool_rotation(R, reader.tool_axis))
-
-
-class StatedPose(NamedTuple):
-    """A pose that a program states.
-
-    Attributes:
-        position: [m].
-        rpy: Roll, pitch and yaw [rad].
-    """
-
-    position: Point
-    rpy: Point
+        position, R = _pose(frame)
+        return position, rpy_of_rotation(tool_rotation(R, reader.tool_axis))
 
 
 def _is_known(frame: Frame) -> bool:
-    """Whether a frame has numbers, and not only a name."""
+    """True if a frame has numbers, and not only a name."""
     return set(frame) <= set("XYZABC")
 
 
-def _pose(frame: Frame, R: Float[np.ndarray, "3 3"]) -> StatedPose:
-    """Pose of the components of a frame and its rotation."""
-    x, y, z = (1e-3 * frame.get(key, 0.0) for key in "XYZ")
-    return StatedPose((x, y, z), rpy_of_rotation(R))
+def _pose(frame: Frame) -> tuple[Point, Float[np.ndarray, "3 3"]]:
+    """Position [m] and rotation of a frame."""
+    x, y, z, a, b, c = (frame.get(key, 0.0) for key in "XYZABC")
+    return (1e-3 * x, 1e-3 * y, 1e-3 * z), rotation_of_abc(a, b, c)
 
 
 def _numbered_tool(number: int, frames: Mapping[str, Frame]) -> KrlTool:
@@ -250,13 +260,3 @@ def numbered_base(number: int, frames: Mapping[str, Frame]) -> Frame:
         return _NULL
     name = f"BASE_DATA[{number}]"
     return frames.get(name, {name: 0.0})
-
-
-def _data(text: str) -> FrameData:
-    """Return what FDAT data state."""
-    tool, base = _TOOL.search(text), _BASE.search(text)
-    return FrameData(
-        None if tool is None else int(tool[1]),
-        None if base is None else int(base[1]),
-        _EXTERNAL.search(text) is not None,
-    )

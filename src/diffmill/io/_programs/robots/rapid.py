@@ -9,6 +9,7 @@ import dataclasses
 import functools
 import math
 import re
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +21,7 @@ from ..faults import SHOWN_FAULTS
 from ..geometry import (
     ToolAxis,
     ToolPlace,
+    point_of,
     rotation_of_quaternion,
     rpy_of_rotation,
     tool_place,
@@ -27,8 +29,7 @@ from ..geometry import (
 )
 from ..limits import bounded_number, fault_of_statement
 from ..text import split_lines
-from .external_axes import ExternalAxes
-from .reader import Reader
+from .reader import ExternalAxes, Reader
 
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _DECLARED = re.compile(
@@ -106,8 +107,8 @@ class _Data(NamedTuple):
     frames: tuple[float, ...] | None
     moves_with_unit: bool = False
 
-    def pose(self) -> "_RapidPose | None":
-        """Position [mm] and rotation, None where they are no numbers."""
+    def pose(self) -> tuple[Point, Float[np.ndarray, "3 3"]] | None:
+        """Position [m] and rotation, None where they are no numbers."""
         if self.frames is None:
             return None
         at, R = np.zeros(3), np.eye(3)
@@ -117,14 +118,7 @@ class _Data(NamedTuple):
                 return None
             at = at + R @ np.array(place)
             R = R @ rotation_of_quaternion(turn[0], turn[1], turn[2], turn[3])
-        return _RapidPose(at, R)
-
-
-class _RapidPose(NamedTuple):
-    """Position [mm] and rotation of a frame."""
-
-    position: Float[np.ndarray, " 3"]
-    rotation: Float[np.ndarray, "3 3"]
+        return point_of(1e-3 * at), R
 
 
 def parse_rapid(
@@ -150,13 +144,11 @@ def parse_rapid(
     program = reader.out.finish(text)
     if reader.work_object is not None:
         data = reader.work_objects.get(reader.work_object)
-        is_known = data is not None and not data.moves_with_unit
-        pose = data.pose() if is_known and data is not None else None
+        pose = None if data is None or data.moves_with_unit else data.pose()
         if pose is not None:
+            position, R = pose
             program = dataclasses.replace(
-                program,
-                work_position=_metres(pose.position),
-                work_rpy=rpy_of_rotation(pose.rotation),
+                program, work_position=position, work_rpy=rpy_of_rotation(R)
             )
     sections = []
     for part in program.sections:
@@ -164,33 +156,28 @@ def parse_rapid(
         data = reader.tool_data.get(names[0]) if names else None
         pose = None if data is None else data.pose()
         if pose is not None:
-            rpy = rpy_of_rotation(tool_rotation(pose.rotation, tool_axis))
-            part = part._replace(tool_position=_metres(pose.position), tool_rpy=rpy)
+            position, R = pose
+            rpy = rpy_of_rotation(tool_rotation(R, tool_axis))
+            part = part._replace(tool_position=position, tool_rpy=rpy)
         sections.append(part)
     return dataclasses.replace(program, sections=tuple(sections))
 
 
-def _metres(position: Float[np.ndarray, " 3"]) -> Point:
-    """Return a position in m."""
-    x, y, z = (1e-3 * position).tolist()
-    return x, y, z
-
-
-def _statements(rows: list[str]):
+def _statements(rows: list[str]) -> Iterator[tuple[int, str]]:
     """Yield the first line and the text of every statement."""
     begun, parts = 0, []
     for number, row in enumerate(rows, 1):
         bare = re.sub(r'"[^"]*"', '""', row).split("!")[0].strip()
-        *ended, rest = bare.split(";")
-        for place, part in enumerate([*ended, rest]):
+        pieces = bare.split(";")
+        for place, piece in enumerate(pieces):
             at = 0
-            while not parts and (found := _FRAME.match(part, at)):
-                yield number, found[0].strip()
-                at = found.end()
+            while not parts and (frame := _FRAME.match(piece, at)):
+                yield number, frame[0].strip()
+                at = frame.end()
             begun = begun if parts else number
-            if left := part[at:].strip():
-                parts.append(left)
-            if place < len(ended):
+            if text := piece[at:].strip():
+                parts.append(text)
+            if place < len(pieces) - 1:
                 yield begun, " ".join(parts)
                 parts = []
     if parts:

@@ -1,6 +1,7 @@
-"""What readers of robot programs have in common: the pose, and moves from it."""
+"""Base of the readers of robot programs: pose, moves from it, axes beside the arm."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from ....toolpath import Move, Point
@@ -11,17 +12,23 @@ from ..move_list import MoveList
 # Height of a unit axis from tip to shank that lies flat, and of one from shank to tip
 # that leans from -z by less than 45 degrees.
 _FLAT, _STEEP = 0.17, -0.7
+# As controllers write an axis that is not there, and above.
+_UNUSED = 8.9e9
+# Two places of an axis are one [mm or deg].
+_SAME_PLACE = 1e-6
 
 
 @dataclass
 class Reader:
-    """Where the tool is while a program is read, and the moves so far.
+    """Place of the tool while a program is read, and the moves so far.
 
     Attributes:
-        position: Tool tip [m], and whether a motion has brought it there.
+        out: The moves so far.
+        position: Tool tip [m].
         axis: Tool axis, tip to shank.
         tool_x: X of the tool; None where the program states none.
         tool_axis: Axis of the controller's tool that points from the shank to the tip.
+        is_placed: Whether a motion has brought the tip to its position.
         feed: Feed [m/s], or None before the first.
     """
 
@@ -41,8 +48,8 @@ class Reader:
     def refuse(self, line: int, word: str, message: str) -> None:
         """Report a fault."""
         # What a terminal would obey is shown as an escape.
-        found = " ".join(word.split())[:40]
-        plain = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in found)
+        begin = " ".join(word.split())[:40]
+        plain = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in begin)
         self.faults.append(Fault(line, plain, message))
 
     def set_feed(self, feed: float, word: str, line: int) -> None:
@@ -145,3 +152,35 @@ class Reader:
         if self.feed is None:
             self.refuse(line, "", "there is no speed; needed is one before this line.")
         return self.feed
+
+
+class ExternalAxes:
+    """Places of the external axes in the motions of a program.
+
+    Work and robot stand where they are for a whole program. So each axis is to stand
+    still; where it does, a note says so.
+    """
+
+    def __init__(self) -> None:
+        self._places: dict[str, float] = {}
+        self._has_moved = False
+
+    def take(self, stated: Mapping[str, float], line: int, reader: Reader) -> None:
+        """Use the places of a motion [mm or deg]: they are those of the first."""
+        used = {name: at for name, at in stated.items() if abs(at) < _UNUSED}
+        for name, at in used.items():
+            # Inline forms of KUKA write 0 for an axis that is not there.
+            if self._has_moved and name not in self._places and at != 0:
+                message = "motions before this line do not state where this axis is."
+                reader.refuse(line, name, message)
+            before = self._places.setdefault(name, at)
+            if abs(at - before) > _SAME_PLACE:
+                message = (
+                    f"the external axis goes from {before:g} to {at:g}, and takes the "
+                    "robot or the work with it; it has to stand still."
+                )
+                reader.refuse(line, name, message)
+        self._has_moved = True
+        if used:
+            sentence = "stand still, so that the work is at one place in the base"
+            reader.out.note("external axes", sentence, line)

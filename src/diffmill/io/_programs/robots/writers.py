@@ -83,7 +83,7 @@ def _krl_dwell(seconds: float) -> str:
 
 
 def _reminder(program: Program, tool_axis: ToolAxis) -> str:
-    """Return what the user has to see to before the file runs on a robot."""
+    """Reminder of the settings that the file needs before it runs on a robot."""
     speed = program.spindle_speed
     spindle = "" if speed is None else f" at {speed * 30 / math.pi:g} rpm"
     return (
@@ -186,12 +186,12 @@ def _middle(move: Move) -> Point:
 
 
 def _goes(move: Move) -> bool:
-    """Return whether a move leads to another place."""
+    """True if a move leads to another place."""
     return move.length > 0
 
 
 def _turns(moves: Sequence[Move], index: int) -> bool:
-    """Return whether a move leads to another orientation, as written, than before."""
+    """True if a move leads to another orientation, as written, than before."""
     one, other = moves[index], moves[index - 1] if index else moves[index]
     if (one.axis, one.tool_x) == (other.axis, other.tool_x):
         return False
@@ -217,10 +217,10 @@ def _time_blocks(
 
 
 def _frames(program: Program, tool_axis: ToolAxis) -> Callable[[Move], str]:
-    """Return what writes a position of KRL.
+    """Writer of positions in KRL.
 
-    Of the triples of angles for an orientation it takes that next to the one before,
-    from the first of the program that was read on.
+    Two triples of angles state an orientation: it takes the one next to the position
+    before, at the first position the one next to that of the program as read.
     """
     angles = program.first_angles or (0.0, 0.0, 0.0)
 

@@ -6,7 +6,6 @@ it, across, down to the retract plane, the plunge, and out again.
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple
 
 from ....toolpath import Point
 from ..faults import Fault
@@ -44,8 +43,7 @@ def run_cycle(block: Block, state: State, go: Go, faults: list[Fault]) -> None:
     if message:
         faults.append(Fault(block.line, motion_text(block), message))
         return
-    holes = _holes(block, state, shift)
-    place, step = holes.start, holes.step
+    place, step = _first_hole(block, state, shift)
     at = list(state.position)
     retract, bottom = cycle.retract, cycle.bottom
     if retract < bottom:
@@ -99,7 +97,7 @@ def _resolved(state: State, shift: Point) -> Cycle:
 
 
 def _fault(block: Block, state: State, cycle: Cycle, repeats: float | None) -> str:
-    """Return what is wrong with the words of a cycle, or nothing."""
+    """Fault of the words of a cycle, "" if they are right."""
     if state.feed_mode == 930:
         return "a canned cycle has no duration of its own; use G94 or G95."
     if math.isnan(cycle.bottom):
@@ -115,15 +113,13 @@ def _fault(block: Block, state: State, cycle: Cycle, repeats: float | None) -> s
     return ""
 
 
-class _Holes(NamedTuple):
-    """Where a row of holes begins, a step before the first, and the step [mm]."""
+def _first_hole(
+    block: Block, state: State, shift: Point
+) -> tuple[list[float], list[float]]:
+    """Place a step before the first hole of a row, and the step to each [mm].
 
-    start: list[float]
-    step: list[float]
-
-
-def _holes(block: Block, state: State, shift: Point) -> _Holes:
-    """Return the holes of a cycle; only where places are relative there is a step."""
+    The step is zero unless the program states relative places.
+    """
     place, step = list(state.position), [0.0] * 3
     for axis, letter in enumerate(AXES):
         value = None if axis == state.plane else block.number(letter)
@@ -133,7 +129,7 @@ def _holes(block: Block, state: State, shift: Point) -> _Holes:
             step[axis] = value * state.scale
         else:
             place[axis] = value * state.scale + shift[axis]
-    return _Holes(place, step)
+    return place, step
 
 
 def _at(place: list[float], depth: float, axis: int) -> list[float]:

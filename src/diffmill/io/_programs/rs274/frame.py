@@ -10,7 +10,7 @@ from ..text import plain_number, split_lines
 from .words import Word, split_comments, split_words
 
 # Lines of motion alone are most of a program.
-_SAYS = re.compile(r"[(;MmSsTtHh]|[Gg][\s0]*(?:2\s*[01]|4\s*[39])")
+_NO_MOTION = re.compile(r"[(;MmSsTtHh]|[Gg][\s0]*(?:2\s*[01]|4\s*[39])")
 _PROGRAM_NUMBER = re.compile(r"\s*[oO:]")
 _MOVES = frozenset("XYZ")
 _COOLANT = (7, 8, 9)
@@ -18,14 +18,14 @@ _MM_PER_INCH = 25.4
 
 
 class ProgramFrame(NamedTuple):
-    """What stands before, between and after the motion of one tool.
+    """Blocks and comments before, between and after the motion of one tool.
 
     Attributes:
         comments: Those of the header.
         opening: Blocks before the motion: tool, its length, coolant.
         spindle: "M3", or "M4" where it turns the other way.
-        between: Lines of the program, and what is said before their motion: a comment
-            in parentheses, or coolant.
+        between: Lines of the program, and blocks before their motion: a comment in
+            parentheses, or coolant.
         closing: Blocks behind the motion.
     """
 
@@ -37,32 +37,32 @@ class ProgramFrame(NamedTuple):
 
 
 def program_frame(source: str, lines: Collection[int]) -> ProgramFrame:
-    """Return what a G-code program says beside the motion of some of its lines.
+    """Blocks and comments of a G-code program beside the motion of some of its lines.
 
-    Comments are kept in the header, and where no change of the tool stands between them
-    and a line that still moves. Blocks with a block delete / are left out.
+    It has the comments of the header, and those between which and a line that still
+    moves no change of the tool stands. Blocks with a block delete / are left out.
 
     Args:
-        source: The text of the program; of another format, or empty, nothing is kept.
-        lines: Numbers of the lines whose motion is kept, from 1.
+        source: The text of the program; one of another format has an empty frame.
+        lines: Numbers of the lines that still move, from 1.
     """
     moving = sorted({line for line in lines if line > 0})
     if not moving:
         return ProgramFrame()
-    said, faults = _Said(moving), list[Fault]()
+    reader, faults = _FrameReader(moving), list[Fault]()
     for number, text in enumerate(split_lines(source, "program"), 1):
-        if _SAYS.search(text) or not said.has_moved:
-            said.add(number, text, faults)
+        if _NO_MOTION.search(text) or not reader.has_moved:
+            reader.add(number, text, faults)
         # A program in G-code has been read without a fault: this is none.
         if faults:
             return ProgramFrame()
-        if said.end:
+        if reader.end:
             break
-    return said.frame()
+    return reader.frame()
 
 
-class _Said:
-    """What has been said so far; the kept motion is that of the lines `moving`."""
+class _FrameReader:
+    """Words and comments so far of a program whose lines `moving` still move."""
 
     def __init__(self, moving: list[int]):
         self.moving, self.has_moved = moving, False
@@ -86,7 +86,8 @@ class _Said:
         values = {word.letter: word.number for word in words}
         if keys & {"M6", "M61"}:
             self._drop_other_tools(number)
-        for comment in filter(None, split_comments(text, number, []).texts):
+        _, comments = split_comments(text, number, [])
+        for comment in filter(None, comments):
             if not self.has_moved:
                 self.header.append(comment)
             elif number <= self.last:
@@ -155,7 +156,7 @@ class _Said:
             self.coolant[key] = None
 
     def frame(self) -> ProgramFrame:
-        """Return what is kept."""
+        """Return the blocks and comments."""
         # One that is selected later is the next one.
         opening = [*(self.loaded or [self.selected] * bool(self.selected))]
         opening += self.lengths

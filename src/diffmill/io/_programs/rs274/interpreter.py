@@ -11,6 +11,7 @@ import re
 
 from ....toolpath import Move, Point, Program
 from ..faults import SHOWN_FAULTS, Fault, ProgramError
+from ..geometry import point_of
 from ..limits import FARTHEST, LARGEST_SPEED_RPM
 from ..setup import ProgramSetup
 from ..text import split_lines
@@ -38,7 +39,6 @@ from .state import (
     metres,
     new_state,
     require_place,
-    tuple3,
 )
 from .words import split_words
 
@@ -148,12 +148,18 @@ def _run_line(row: str, number: int, state: State) -> list[Fault]:
 def _execute(block: Block, state: State, faults: list[Fault]) -> None:
     """Carry out one block in the order of the standard."""
     codes = block.g
-    _apply_refused(block, state)
+    if "refused" in codes and codes["refused"] not in _HARMLESS:
+        # What it would have changed is not known, so that its fault has no echo.
+        state.motion = -1
+        state.position = (math.nan, math.nan, math.nan)
     for word in block.rotary:
         state.out.note(word.text, "the axis does not turn", block.line)
     set_feed(block, state, faults)
     if "spindle mode" in codes:
-        _set_spindle_mode(block, state)
+        state.is_surface_speed = codes["spindle mode"] == 960
+        if state.is_surface_speed:
+            state.spindle_rpm = 0.0
+            block.used.add("D")
     if block.m or "S" in block.values or "T" in block.values:
         _set_tool(block, state, faults)
         _set_speed(block, state, faults)
@@ -167,15 +173,6 @@ def _execute(block: Block, state: State, faults: list[Fault]) -> None:
     if len(block.used) < len(block.values):
         _report_unused(block, state, faults)
     state.is_ended = block.m.get("end") in (2, 30)
-
-
-def _apply_refused(block: Block, state: State) -> None:
-    """Forget what a refused G code would have changed, so that it has no echo."""
-    code = block.g.get("refused")
-    if code is None or code in _HARMLESS:
-        return
-    state.motion = -1
-    state.position = (math.nan, math.nan, math.nan)
 
 
 def _set_modes(block: Block, state: State, faults: list[Fault]) -> None:
@@ -280,14 +277,6 @@ def _set_speed(block: Block, state: State, faults: list[Fault]) -> None:
     state.out.set_speed(number * 2 * math.pi / 60)
 
 
-def _set_spindle_mode(block: Block, state: State) -> None:
-    """Apply G96 and G97."""
-    state.is_surface_speed = block.g["spindle mode"] == 960
-    if state.is_surface_speed:
-        state.spindle_rpm = 0.0
-        block.used.add("D")
-
-
 def _once(block: Block, state: State, faults: list[Fault]) -> None:
     """Carry out a code that holds for one block and takes its axis words."""
     code = block.g["once"]
@@ -313,7 +302,7 @@ def _return_home(block: Block, state: State, faults: list[Fault]) -> None:
     zero = state.setup.machine_zero
     if reference is None and zero is not None:
         places = zip(zero, state.setup.reference_points[is_second], strict=True)
-        reference = tuple3(1e3 * (a + b) for a, b in places)
+        reference = point_of(1e3 * (a + b) for a, b in places)
     axes = block.axes()
     through = _end_point(block, state, faults)
     if reference is None:
@@ -330,7 +319,7 @@ def _return_home(block: Block, state: State, faults: list[Fault]) -> None:
     if "Z" in axes or not axes:
         home[2] -= _known_length(block, state, faults)
     _go(block, state, through, Pace(), "")
-    _go(block, state, tuple3(home), Pace(), "".join(axes) or AXES)
+    _go(block, state, point_of(home), Pace(), "".join(axes) or AXES)
 
 
 def _leave(axes: str, block: Block, state: State) -> None:
@@ -428,7 +417,7 @@ def _choose_motion(motion: int, state: State) -> None:
 
 
 def _moves_without_axes(block: Block, is_arc: bool) -> bool:
-    """Return whether a block without X, Y and Z is a motion all the same."""
+    """True if a block without X, Y and Z is a motion all the same."""
     if block.is_g_refused:
         return False
     if "motion" in block.g:
@@ -469,7 +458,7 @@ def _cycle(block: Block, state: State, faults: list[Fault]) -> None:
     axes = "" if state.is_incremental else "".join(block.axes())
 
     def go(point: list[float], is_rapid: bool) -> None:
-        start, state.position = state.position, tuple3(point)
+        start, state.position = state.position, point_of(point)
         move = Move(
             metres(start),
             metres(state.position),
@@ -483,7 +472,7 @@ def _cycle(block: Block, state: State, faults: list[Fault]) -> None:
 
 
 def _machine_point(block: Block, state: State, faults: list[Fault]) -> Point:
-    """Return where a motion in machine coordinates (G53) ends [mm]."""
+    """End of a motion in machine coordinates (G53) [mm]."""
     text = block.texts["once"]
     if state.motion not in (0, 10) or state.is_incremental:
         message = "G53 needs G0 or G1, and G90."
@@ -496,11 +485,11 @@ def _machine_point(block: Block, state: State, faults: list[Fault]) -> Point:
             end[axis] = zero[axis] + value * state.scale
             if axis == 2:
                 end[axis] -= _known_length(block, state, faults)
-    return tuple3(end)
+    return point_of(end)
 
 
 def _end_point(block: Block, state: State, faults: list[Fault]) -> Point:
-    """Return where a motion ends [mm]."""
+    """End of a motion in `work` [mm]."""
     x, y, z = state.position
     shift = state.shift or find_shift(block, state, faults)
     end = [x, y, z]
@@ -565,7 +554,7 @@ def _centre(
     first, second = (state.plane + 1) % 3, (state.plane + 2) % 3
     letters = [_CENTRE_WORDS[axis] for axis in (first, second)]
     across = _CENTRE_WORDS[state.plane]
-    found = [block.number(letter) for letter in letters]
+    stated = [block.number(letter) for letter in letters]
     radius = block.number("R")
     plane = AXES[min(first, second)] + AXES[max(first, second)]
     shown, message = motion_text(block), ""
@@ -577,15 +566,15 @@ def _centre(
         message = f"an arc in the {plane} plane has no {across}."
     if message:
         pass
-    elif radius is not None and found != [None, None]:
+    elif radius is not None and stated != [None, None]:
         shown, message = values["R"].text, "an arc has either R, or its centre."
-    elif radius is None and found == [None, None]:
+    elif radius is None and stated == [None, None]:
         message = f"an arc needs its centre ({' and '.join(sorted(letters))}) or its "
         message += "radius (R)."
     elif radius is not None and not {AXES[first], AXES[second]} & set(values):
         shown = values["R"].text
         message = f"an arc with R needs an end {plane[0]} or {plane[1]}."
-    elif radius is None and state.is_centre_absolute and None in found:
+    elif radius is None and state.is_centre_absolute and None in stated:
         message = "an absolute centre (G90.1) needs both of its words."
     if message:
         faults.append(Fault(block.line, shown, message))
@@ -597,7 +586,7 @@ def _centre(
         if radius is not None:
             centre = centre_from_radius(begin, last, radius, turn, tolerance)
         else:
-            offset = found[0] or 0.0, found[1] or 0.0
+            offset = stated[0] or 0.0, stated[1] or 0.0
             if state.is_centre_absolute:
                 shift = find_shift(block, state, faults)
                 offset = (
@@ -613,13 +602,13 @@ def _centre(
         return None
     out = list(start)
     out[first], out[second] = centre[0] * scale, centre[1] * scale
-    return tuple3(out)
+    return point_of(out)
 
 
 def _other_centre(
     block: Block, state: State, begin: Point2, last: Point2, faults: list[Fault]
 ) -> str:
-    """What the words of a centre would fit, if G90.1 stood for G91.1 or vice versa."""
+    """Hint of a fault that the centre fits by G90.1 instead of G91.1, or vice versa."""
     first, second = (state.plane + 1) % 3, (state.plane + 2) % 3
     shift = find_shift(block, state, faults)
     words = [block.number(_CENTRE_WORDS[axis]) or 0.0 for axis in (first, second)]

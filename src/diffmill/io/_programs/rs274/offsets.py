@@ -4,6 +4,7 @@ import math
 
 from ....toolpath import Point
 from ..faults import Fault
+from ..geometry import point_of
 from .blocks import Block
 from .state import (
     AXES,
@@ -13,7 +14,6 @@ from .state import (
     lose_place,
     machine_zero,
     require_place,
-    tuple3,
 )
 
 _SYSTEMS = ("G54", "G55", "G56", "G57", "G58", "G59", "G59.1", "G59.2", "G59.3")
@@ -37,7 +37,7 @@ def offset_axes(block: Block, state: State, faults: list[Fault]) -> None:
         state.own_offset = state.stored_offset
     elif code == 520:
         stated = [block.number(letter) for letter in AXES]
-        state.own_offset = tuple3(
+        state.own_offset = point_of(
             old if value is None else value * state.scale
             for old, value in zip(state.own_offset, stated, strict=True)
         )
@@ -70,8 +70,8 @@ def _state_position(block: Block, state: State, faults: list[Fault]) -> None:
         else:
             shift[axis] = position[axis] - stated
     zero = find_zero(state.system, block, state, faults)
-    state.position = tuple3(position)
-    state.own_offset = tuple3(a - b for a, b in zip(shift, zero, strict=True))
+    state.position = point_of(position)
+    state.own_offset = point_of(a - b for a, b in zip(shift, zero, strict=True))
     state.stored_offset = state.own_offset
     state.shift = None
 
@@ -89,9 +89,9 @@ def set_data(block: Block, state: State, faults: list[Fault]) -> None:
         faults.append(Fault(block.line, text, message))
         return
     name = _SYSTEMS[int(number) - 1] if number else state.system
-    found = _stated_zero(block, kind, name, state, faults)
-    if found is not None:
-        state.zeros[name] = found
+    zero = _stated_zero(block, kind, name, state, faults)
+    if zero is not None:
+        state.zeros[name] = zero
         state.shift = None
 
 
@@ -99,12 +99,11 @@ def _stated_zero(
     block: Block, kind: float, name: str, state: State, faults: list[Fault]
 ) -> Point | None:
     """Return the zero of a system that G10 states [mm], or None with a fault."""
-    base = (0.0, 0.0, 0.0)
+    machine = (0.0, 0.0, 0.0)
     if kind == 2:
-        found = machine_zero(block, block.texts["once"], state, faults)
-        if found is None:
+        machine = machine_zero(block, block.texts["once"], state, faults)
+        if machine is None:
             return None
-        base = found
     else:
         axes = "".join(block.axes())
         require_place(axes, block.texts["once"], block, state, faults)
@@ -114,10 +113,10 @@ def _stated_zero(
         axis = AXES.index(letter)
         value = (block.number(letter) or 0.0) * state.scale
         if kind == 2:
-            zero[axis] = base[axis] + value
+            zero[axis] = machine[axis] + value
         else:
             zero[axis] = state.position[axis] - state.own_offset[axis] - value
-    return tuple3(zero)
+    return point_of(zero)
 
 
 def compensate_length(block: Block, state: State, faults: list[Fault]) -> None:

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 
 from ....toolpath import Point
 from ..faults import Fault
+from ..geometry import point_of
 from ..move_list import MoveList
 from ..setup import ProgramSetup
 from .blocks import Block
@@ -36,10 +37,10 @@ class Cycle:
 
 @dataclass(slots=True)
 class State:
-    """State between two blocks; NaN marks what a fault made unknown.
+    """State between two blocks; NaN marks numbers that a fault made unknown.
 
     Attributes:
-        setup: What the program does not say.
+        setup: Settings that the program does not state.
         out: The moves so far.
         position: Tool tip in `work` [mm].
         motion: Motion code times ten; None before the first, 800 for none, -1 after a
@@ -105,7 +106,7 @@ def find_shift(block: Block, state: State, faults: list[Fault]) -> Point:
     if state.shift is not None:
         return state.shift
     zero = find_zero(state.system, block, state, faults)
-    state.shift = tuple3(a + b for a, b in zip(zero, state.own_offset, strict=True))
+    state.shift = point_of(a + b for a, b in zip(zero, state.own_offset, strict=True))
     return state.shift
 
 
@@ -152,13 +153,7 @@ def machine_zero(
     if state.setup.machine_zero is None:
         faults.append(Fault(block.line, word, NO_MACHINE_ZERO))
         return None
-    return tuple3(1e3 * value for value in state.setup.machine_zero)
-
-
-def tuple3(values) -> Point:
-    """Return three numbers as a point."""
-    x, y, z = values
-    return x, y, z
+    return point_of(1e3 * value for value in state.setup.machine_zero)
 
 
 def metres(point: Point) -> Point:

@@ -44,7 +44,7 @@ def split_words(text: str, line: int, faults: list[Fault]) -> list[Word]:
         message = f"the line has {len(text)} characters; {_LONGEST_LINE} are allowed."
         faults.append(Fault(line, text[:30], message))
         return []
-    code = split_comments(text, line, faults).code if _MARK.search(text) else text
+    code = split_comments(text, line, faults)[0] if _MARK.search(text) else text
     compact = code.translate(_BLANKS)
     upper = compact.translate(_UPPER)
     words: list[Word] = []
@@ -58,8 +58,8 @@ def split_words(text: str, line: int, faults: list[Fault]) -> list[Word]:
             position += 1
             continue
         match = _WORD.match(upper, position)
-        rest = upper[match.end() : match.end() + 1] if match else ""
-        if match and rest not in _EXPRESSION and upper[position] != "O":
+        behind = upper[match.end() : match.end() + 1] if match else ""
+        if match and behind not in _EXPRESSION and upper[position] != "O":
             position = match.end()
             _take(match, compact, line, words, faults)
             continue
@@ -121,31 +121,23 @@ def _report_unknown(
     return end
 
 
-class Comments(NamedTuple):
-    """A line without its comments, with a ( in the place of each that stands inside.
+def split_comments(
+    text: str, line: int, faults: list[Fault]
+) -> tuple[str, tuple[str, ...]]:
+    """Line without its comments, and the texts of these.
 
-    Attributes:
-        code: The line; a word ends where a comment stood.
-        texts: What the comments say.
-    """
-
-    code: str
-    texts: tuple[str, ...]
-
-
-def split_comments(text: str, line: int, faults: list[Fault]) -> Comments:
-    """Return a line without its comments; one with brackets in it ends with the last.
-
+    A ( stands in the place of each comment inside the line, so that a word ends there.
     Posts write names with brackets, such as (Pocket (2)), which controllers end at the
-    first closing one; what would then stand behind the comment is no word.
+    first closing one; here it is the last one, behind which words may stand.
     """
-    code, texts = [], []
+    code: list[str] = []
+    texts: list[str] = []
     position = 0
     while mark := _MARK.search(text, position):
         code.append(text[position : mark.start()])
         begin = mark.end()
         if mark[0] == ";":
-            return Comments("".join(code), (*texts, text[begin:].strip()))
+            return "".join(code), (*texts, text[begin:].strip())
         if mark[0] == ")":
             faults.append(Fault(line, ")", "there is no comment that it closes."))
             position = begin
@@ -154,17 +146,17 @@ def split_comments(text: str, line: int, faults: list[Fault]) -> Comments:
         if position < 0:
             message = "the comment is not closed; a ) must end it on its line."
             faults.append(Fault(line, text[mark.start() :][:30], message))
-            return Comments("".join(code), tuple(texts))
+            return "".join(code), tuple(texts)
         code.append("(")
         texts.append(text[begin : position - 1].strip())
-    return Comments("".join(code) + text[position:], tuple(texts))
+    return "".join(code) + text[position:], tuple(texts)
 
 
 def _end_of_comment(text: str, begin: int) -> int:
-    """Return where a comment ends whose brackets are all closed; -1 if nowhere."""
+    """Position behind a comment whose brackets are all closed; -1 if they are not."""
     depth = 1
-    for found in _BRACKET.finditer(text, begin):
-        depth += 1 if found[0] == "(" else -1
+    for bracket in _BRACKET.finditer(text, begin):
+        depth += 1 if bracket[0] == "(" else -1
         if depth == 0:
-            return found.end()
+            return bracket.end()
     return -1
