@@ -18,7 +18,7 @@ _PART = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')"""
 _LONG_KEY = re.compile(rf"(?<![\w-])(?:{_PART}[ \t]*+\.[ \t]*+){{{_DEEPEST}}}")
 _LARGEST = 2**63
 _LARGEST_FILE = 1_000_000
-# What the reader of the standard library says, and what it means to who wrote the file.
+# Messages of the reader of the standard library, and what the author of a file needs.
 _PLACE = re.compile(r"(?P<fault>.*) \(at line (?P<line>\d+), column \d+\)")
 _VALUE = (
     'a value is text in quotes such as "10 mm", a number, true, false, [...] or {...}'
@@ -100,14 +100,19 @@ def parse_toml(data: bytes) -> dict[str, object]:
     except RecursionError:
         raise ValueError(f"found invalid TOML: {_TOO_DEEP}") from None
     except tomllib.TOMLDecodeError as error:
-        raise ValueError(_invalid(text, str(error))) from error
+        raise ValueError(_syntax_fault(text, str(error))) from error
     except ValueError as error:
         raise ValueError(f"found invalid TOML: {error}") from error
     return tables
 
 
-def _invalid(text: str, fault: str) -> str:
-    """Return what is wrong with a text, with the line and what is allowed there."""
+def _syntax_fault(text: str, fault: str) -> str:
+    """Fault of a text with its line, and the syntax that is allowed there.
+
+    Args:
+        text: The text.
+        fault: Message of the reader of the standard library.
+    """
     place = _PLACE.fullmatch(fault)
     if place is None:
         return f"found invalid TOML: {fault}"

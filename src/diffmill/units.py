@@ -114,18 +114,6 @@ def _registry() -> Any:
     return pint.UnitRegistry()
 
 
-def _check_angle(units: Any, kind: QuantityKind, text: str) -> None:
-    # pint itself counts an angle as a pure number.
-    power = _registry().get_base_units(units)[1]._units.get("radian", 0)
-    is_allowed = {
-        "required": power == 1,
-        "optional": power in (0, -1),
-        "forbidden": power == 0,
-    }[kind.angle]
-    if not is_allowed:
-        raise ValueError(f"found {text!r}, but {_wanted(kind)}")
-
-
 def _wanted(kind: QuantityKind) -> str:
     return f'{kind.noun} with its unit is required, such as "{kind.example}"'
 
@@ -176,10 +164,10 @@ def base_quantity(value: object) -> Amount:
     wanted = 'a quantity with its unit is required, such as "10 mm"'
     number, unit = _split(value, wanted)
     try:
-        found = _registry().Quantity(number, _units(unit)).to_base_units()
+        in_base = _registry().Quantity(number, _units(unit)).to_base_units()
     except Exception as error:  # pint raises errors of its tokenizer, too
         raise ValueError(f"found {value!r}, but {wanted}") from error
-    return Amount(float(found.magnitude), f"{found.units:~C}")
+    return Amount(float(in_base.magnitude), f"{in_base.units:~C}")
 
 
 def scaled_quantity(value: object, factor: float) -> object:
@@ -188,7 +176,7 @@ def scaled_quantity(value: object, factor: float) -> object:
     A whole number stays one where the product is whole.
 
     Args:
-        value: As of `base_quantity`.
+        value: Text of a number and a unit, or a plain number.
         factor: A number.
 
     Raises:
@@ -262,5 +250,13 @@ def _convert_by_registry(
         magnitude = float(result.to(kind.unit).magnitude)
     except (pint.PintError, OverflowError) as error:
         raise ValueError(f"found {text!r}, but {_wanted(kind)}") from error
-    _check_angle(units, kind, text)
+    # pint itself counts an angle as a pure number.
+    power = _registry().get_base_units(units)[1]._units.get("radian", 0)
+    is_allowed = {
+        "required": power == 1,
+        "optional": power in (0, -1),
+        "forbidden": power == 0,
+    }[kind.angle]
+    if not is_allowed:
+        raise ValueError(f"found {text!r}, but {_wanted(kind)}")
     return magnitude

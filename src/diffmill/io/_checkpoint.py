@@ -92,7 +92,7 @@ class CheckpointFile(NamedTuple):
         return previous_of(self.path)
 
     def exists(self) -> bool:
-        """Return whether a checkpoint, or the one before it, is there."""
+        """True if a checkpoint, or the one before it, is there."""
         return self.path.exists() or self.previous.exists()
 
     def remove(self) -> None:
@@ -104,16 +104,27 @@ class CheckpointFile(NamedTuple):
         """Write a checkpoint, and keep the one before.
 
         Args:
-            arrays: What is to be kept, plain arrays by name.
+            arrays: Plain arrays by name.
 
         Raises:
             OSError: The file cannot be written; the earlier ones are as they were.
         """
-        version, content = b"%d" % _VERSION, _content(arrays, self.job_fingerprint)
+        if wrong := [name for name in arrays if name.startswith(".")]:
+            raise ValueError(f"Argument `arrays` must have no name as {wrong[0]!r}.")
+        all_arrays = {name: np.asarray(value) for name, value in arrays.items()}
+        all_arrays[_JOB] = np.asarray(self.job_fingerprint)
+        all_arrays[_MADE_BY] = np.asarray(_versions())
+        buffer = io.BytesIO()
+        np.savez(buffer, allow_pickle=False, **all_arrays)
+        version, content = b"%d" % _VERSION, buffer.getvalue()
         first = b"%s %s %s\n" % (_MAGIC, version, _digest(version, content))
-        # A damaged one must not take the place of the whole one that the run went on
-        # from.
-        previous = self.previous if _is_whole(self.path) else None
+        previous = self.previous
+        try:
+            _arrays_of(self.path)
+        except (OSError, CheckpointError):
+            # A damaged one must not take the place of the whole one that the run went
+            # on from.
+            previous = None
         write_whole(self.path, first + content, previous=previous)
 
     def latest(self) -> "LatestCheckpoint":
@@ -128,13 +139,13 @@ class CheckpointFile(NamedTuple):
             if not file.exists():
                 continue
             try:
-                found = self._read(file)
+                arrays = self._read(file)
             except DamagedCheckpoint as error:
                 notes.append(str(error))
                 continue
             if notes:
                 notes.append(f"the checkpoint before it is used: {file}")
-            return LatestCheckpoint(found, tuple(notes))
+            return LatestCheckpoint(arrays, tuple(notes))
         if notes:
             raise DamagedCheckpoint("; ".join([*notes, "no other checkpoint is there"]))
         return LatestCheckpoint(None, ())
@@ -154,16 +165,6 @@ class CheckpointFile(NamedTuple):
                 "that it names must be as they were when the run was started"
             )
         return arrays
-
-
-def _content(arrays: Arrays, job_fingerprint: str) -> bytes:
-    if wrong := [name for name in arrays if name.startswith(".")]:
-        raise ValueError(f"Argument `arrays` must have no name as {wrong[0]!r}.")
-    kept = {name: np.asarray(value) for name, value in arrays.items()}
-    kept |= {_JOB: np.asarray(job_fingerprint), _MADE_BY: np.asarray(_versions())}
-    buffer = io.BytesIO()
-    np.savez(buffer, allow_pickle=False, **kept)
-    return buffer.getvalue()
 
 
 def _digest(version: bytes, content: bytes) -> bytes:
@@ -188,21 +189,13 @@ def _arrays_of(file: pathlib.Path) -> dict[str, np.ndarray]:
             "is read"
         )
     try:
-        with np.load(io.BytesIO(content), allow_pickle=False) as found:
-            arrays = {name: found[name] for name in found.files}
+        with np.load(io.BytesIO(content), allow_pickle=False) as archive:
+            arrays = {name: archive[name] for name in archive.files}
     except (OSError, ValueError, zipfile.BadZipFile) as error:
         raise DamagedCheckpoint(f"{file}: is damaged: {error}") from error
     if not {_JOB, _MADE_BY} <= arrays.keys():
         raise DamagedCheckpoint(f"{file}: is damaged: it names no job")
     return arrays
-
-
-def _is_whole(file: pathlib.Path) -> bool:
-    try:
-        _arrays_of(file)
-    except (OSError, CheckpointError):
-        return False
-    return True
 
 
 def _versions() -> str:

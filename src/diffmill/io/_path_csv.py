@@ -2,7 +2,6 @@
 
 import os
 import pathlib
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -57,38 +56,33 @@ def _refused(name: str, faults: list[str]) -> ProgramError:
     return ProgramError(name, [Fault(0, "", line) for line in lines])
 
 
-class _Line(NamedTuple):
-    """A line of a file, numbered from 1."""
-
-    number: int
-    text: str
-
-
 def _path_of_text(text: str, name: str, *, is_axis_to_tip: bool) -> Path:
-    """Return a path from CSV text; arguments and errors as `read_path_csv`."""
-    rows = [
-        _Line(number, line.strip())
+    """Path of CSV text; `name` is the file's, for messages."""
+    rows = {
+        number: line.strip()
         for number, line in enumerate(text.splitlines(), 1)
         if line.strip() and not line.lstrip().startswith("#")
-    ]
+    }
     if not rows:
         raise _refused(name, ["the file is empty; needed is a header and 2 rows."])
-    number, header = rows[0]
+    number = next(iter(rows))
+    header = rows.pop(number)
     delimiter = next((sign for sign in ";\t" if sign in header), ",")
     labels = [label.strip(' "').lower() for label in header.split(delimiter)]
     faults: list[str] = []
-    columns = _columns(labels, number, faults)
-    body = _with_points(rows[1:], delimiter, len(labels), faults)
+    scales = _scales(labels, number, faults)
+    body = _with_points(rows, delimiter, len(labels), faults)
     if faults:
         raise _refused(name, faults)
     values = _values(body, labels, delimiter, faults)
-    if len(rows) < 3:
-        faults.append(f"found {len(rows) - 1} rows after the header; needed are 2.")
+    if len(rows) < 2:
+        faults.append(f"found {len(rows)} rows after the header; needed are 2.")
     if faults:
         raise _refused(name, faults)
-    lines = np.array([row.number for row in rows[1:]], dtype=np.int32)
+    lines = np.array(list(rows), dtype=np.int32)
     with np.errstate(over="ignore"):
-        data = {key: values[:, one.place] * one.scale for key, one in columns.items()}
+        columns = zip(scales.items(), values.T, strict=True)
+        data = {key: column * scale for (key, scale), column in columns}
     _check(data, lines, faults)
     if faults:
         raise _refused(name, faults)
@@ -130,16 +124,15 @@ def write_path_csv(path: Path) -> str:
     return "\n".join(lines) + "\n"
 
 
-class _Column(NamedTuple):
-    """Place of a column, and the scale of its numbers to SI."""
+def _scales(labels: list[str], number: int, faults: list[str]) -> dict[str, float]:
+    """Scales of the columns to SI by quantity, in their order.
 
-    place: int
-    scale: float
-
-
-def _columns(labels: list[str], number: int, faults: list[str]) -> dict[str, _Column]:
-    """Return the column of each quantity of the header."""
-    columns: dict[str, _Column] = {}
+    Args:
+        labels: Names of the columns.
+        number: Line of the header.
+        faults: Receives faults of the header; without any, each column has a scale.
+    """
+    scales: dict[str, float] = {}
     for index, label in enumerate(labels):
         quantity, _, unit = label.partition("_")
         place = f"line {number}, column {index + 1}: found `{label}`"
@@ -151,7 +144,7 @@ def _columns(labels: list[str], number: int, faults: list[str]) -> dict[str, _Co
             allowed = ", ".join(f"{quantity}_{u}" for u in _UNITS[quantity])
             faults.append(f"{place}; allowed are {allowed}.")
             # Named with a wrong unit, it is not reported again as missing.
-            columns.setdefault(quantity, _Column(index, np.nan))
+            scales.setdefault(quantity, np.nan)
             continue
         else:
             faults.append(
@@ -159,11 +152,11 @@ def _columns(labels: list[str], number: int, faults: list[str]) -> dict[str, _Co
                 "(as in time_s, x_mm, feed_mm_per_min), rapid, line, and i, j, k."
             )
             continue
-        if quantity in columns:
+        if quantity in scales:
             faults.append(f"{place}; only one column of {quantity} is allowed.")
-        columns[quantity] = _Column(index, scale)
-    missing = [key for key in ("time", "x", "y", "z") if key not in columns]
-    axes = [key for key in "ijk" if key in columns]
+        scales[quantity] = scale
+    missing = [key for key in ("time", "x", "y", "z") if key not in scales]
+    axes = [key for key in "ijk" if key in scales]
     if missing:
         faults.append(
             f"line {number}: found no column for {', '.join(missing)}; needed are "
@@ -174,39 +167,39 @@ def _columns(labels: list[str], number: int, faults: list[str]) -> dict[str, _Co
             f"line {number}: found only {', '.join(axes)} of the tool axis; allowed "
             "are all of i, j, k or none."
         )
-    return columns
+    return scales
 
 
 def _with_points(
-    rows: list[_Line], delimiter: str, count: int, faults: list[str]
-) -> list[_Line]:
-    """Return rows with decimal points for commas; report a file with both signs."""
+    rows: dict[int, str], delimiter: str, count: int, faults: list[str]
+) -> dict[int, str]:
+    """Rows by line, with decimal points for commas; a file with both has a fault."""
     if delimiter == ",":
-        counts = {row.text.count(",") + 1 for row in rows}
+        counts = {row.count(",") + 1 for row in rows.values()}
         if counts == {2 * count}:
             faults.append(
-                f"line {rows[0].number}: found {2 * count} values in every row, which "
-                f"look like {count} with a decimal comma; allowed are decimal points, "
-                "or columns that are separated by semicolons or tabs."
+                f"line {next(iter(rows))}: found {2 * count} values in every row, "
+                f"which look like {count} with a decimal comma; allowed are decimal "
+                "points, or columns that are separated by semicolons or tabs."
             )
         return rows
-    commas = [row for row in rows if "," in row.text]
+    commas = [number for number, row in rows.items() if "," in row]
     if not commas:
         return rows
-    if points := [row for row in rows if "." in row.text]:
+    if points := [number for number, row in rows.items() if "." in row]:
         faults.append(
-            f"line {commas[0].number}: found decimal commas, but points in line "
-            f"{points[0].number}; allowed is one of them."
+            f"line {commas[0]}: found decimal commas, but points in line "
+            f"{points[0]}; allowed is one of them."
         )
-    return [_Line(row.number, row.text.replace(",", ".")) for row in rows]
+    return {number: row.replace(",", ".") for number, row in rows.items()}
 
 
 def _values(
-    rows: list[_Line], labels: list[str], delimiter: str, faults: list[str]
+    rows: dict[int, str], labels: list[str], delimiter: str, faults: list[str]
 ) -> Float[np.ndarray, "row column"]:
-    """Return the table of numbers as written; wrong ones are reported and left 0."""
+    """Table of numbers as written; wrong ones are reported and left 0."""
     out = np.zeros((len(rows), len(labels)))
-    for index, (number, row) in enumerate(rows):
+    for index, (number, row) in enumerate(rows.items()):
         fields = row.split(delimiter)
         if len(fields) != len(labels):
             faults.append(
@@ -215,7 +208,10 @@ def _values(
             )
             continue
         for column, written in enumerate(fields):
-            value = _number(written)
+            try:
+                value = float(written.strip(' "'))
+            except ValueError:
+                value = np.nan
             if np.isfinite(value):
                 out[index, column] = value
             else:
@@ -224,14 +220,6 @@ def _values(
                     f"`{written.strip()}`; allowed is a finite number such as 1.5."
                 )
     return out
-
-
-def _number(text: str) -> float:
-    """Return a number, or NaN for what is none."""
-    try:
-        return float(text.strip(' "'))
-    except ValueError:
-        return float("nan")
 
 
 def _check(

@@ -45,7 +45,7 @@ def write_results(
 
     Args:
         out: The folder.
-        dataset: What becomes `result.nc`; units and versions are added where absent.
+        dataset: Content of `result.nc`; units and versions are added where absent.
         files: Further files by name: text, bytes, or a function that is called with
             the path of the file.
         fill: Called with the folder itself, to write any number of files.
@@ -62,12 +62,19 @@ def write_results(
 
     def fill_all(folder: pathlib.Path) -> None:
         # By way of memory: HDF5 ends the process where it finds the disk full.
-        content = described(dataset).to_netcdf(engine="h5netcdf")
-        (folder / "result.nc").write_bytes(content)
+        result = described(dataset).to_netcdf(engine="h5netcdf")
+        (folder / "result.nc").write_bytes(result)
         if stock is not None:
             save(stock, folder / "stock.npz")
         for name, content in (files or {}).items():
-            _write(folder, name, content)
+            if not ResultsFolder(folder).has_place_for(name):
+                raise ValueError(f"File `{name}` must lie directly in the folder.")
+            if callable(content):
+                content(folder / name)
+            elif isinstance(content, bytes):
+                (folder / name).write_bytes(content)
+            else:
+                (folder / name).write_text(content, encoding="utf-8", newline="\n")
         if fill is not None:
             fill(folder)
 
@@ -116,7 +123,7 @@ def _plain(value: object) -> object:
 def mark_incomplete(
     dataset: Dataset, reason: str, *, failed_step: int | None = None
 ) -> Dataset:
-    """Return what an aborted run has computed, with why and where it stopped.
+    """Rows of an aborted run before its failure, with its reason and place.
 
     Args:
         dataset: Rows of all steps.
@@ -143,16 +150,3 @@ def mark_incomplete(
         incomplete_time=float(dataset["time"].isel(step=last)),
         incomplete_place=desired.reshape(-1, 3)[0].astype(float),
     )
-
-
-def _write(folder: pathlib.Path, name: str, content: Content) -> None:
-    """Write one further file."""
-    target = folder / name
-    if not ResultsFolder(folder).has_place_for(name):
-        raise ValueError(f"File `{name}` must lie directly in the folder.")
-    if callable(content):
-        content(target)
-    elif isinstance(content, bytes):
-        target.write_bytes(content)
-    else:
-        target.write_text(content, encoding="utf-8", newline="\n")

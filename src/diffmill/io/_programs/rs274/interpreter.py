@@ -179,7 +179,11 @@ def _set_modes(block: Block, state: State, faults: list[Fault]) -> None:
     """Apply the G codes of a block that move nothing themselves."""
     codes = block.g
     if codes.get("once") == 40:
-        _dwell(block, state, faults)
+        duration, text = block.number("P"), block.texts["once"]
+        if duration is None:
+            faults.append(Fault(block.line, text, "a rest needs a P, its seconds."))
+        else:
+            state.out.dwell(duration, block.line, text)
     if "plane" in codes:
         state.plane = {170: 2, 180: 1, 190: 0}[codes["plane"]]
         state.is_plane_known = True
@@ -224,17 +228,6 @@ def _note_codes(block: Block, codes: dict[str, int], letter: str, state: State) 
         sentence = _NO_MOTION["surface speed" if code == 960 else group]
         value = code / 10 if letter == "G" else code
         state.out.note(f"{letter}{value:g}", sentence, block.line)
-
-
-def _dwell(block: Block, state: State, faults: list[Fault]) -> None:
-    """Apply G4."""
-    duration = block.number("P")
-    word = block.texts["once"]
-    if duration is None:
-        message = "a rest needs a P, its seconds."
-        faults.append(Fault(block.line, word, message))
-        return
-    state.out.dwell(duration, block.line, word)
 
 
 def _set_tool(block: Block, state: State, faults: list[Fault]) -> None:

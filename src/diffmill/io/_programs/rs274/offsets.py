@@ -144,9 +144,7 @@ def compensate_length(block: Block, state: State, faults: list[Fault]) -> None:
             faults.append(Fault(block.line, text, message))
             return
         word = f"H{number}"
-        length = _length_of(number, state)
-        if length is None:
-            _note_length(block, number, state)
+        length = _length_of(number, block, state)
         if code == 432:
             word = f"{state.length_word} and {word}"
             if length is not None:
@@ -164,17 +162,15 @@ def compensate_length(block: Block, state: State, faults: list[Fault]) -> None:
     state.length, state.length_word = length, word
 
 
-def _length_of(number: int, state: State) -> float | None:
-    """Return the length that H compensates [mm]; None if it is not known."""
+def _length_of(number: int, block: Block, state: State) -> float | None:
+    """Length that H compensates [mm]; None with a note if it is not known."""
     lengths = state.setup.tool_lengths
-    if number == 0 and 0 not in lengths:
+    if number in lengths:
+        return 1e3 * lengths[number]
+    if number == 0:
         return 0.0
-    return 1e3 * lengths[number] if number in lengths else None
-
-
-def _note_length(block: Block, number: int, state: State) -> None:
-    """Note what is assumed of a length that is not known."""
     sentence = "its length is not given; the tip is where Z says after it"
     if state.out.tool not in (None, number):
         sentence += f", and tool T{state.out.tool} is taken to have this length"
     state.out.note(f"G43 H{number}", sentence, block.line)
+    return None
