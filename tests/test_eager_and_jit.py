@@ -374,12 +374,14 @@ CALLS: dict[str, Callable[[], Call]] = {
     "robot.mechanical_energy": of_robot("mechanical_energy", rows(3), rows(3)),
     "robot.inverse_dynamics": of_robot("inverse_dynamics", rows(3), rows(3), rows(6)),
     "robot.forward_dynamics": of_robot("forward_dynamics", rows(3), rows(3), rows(6)),
-    "robot.augmented_inverse": of_robot("augmented_inverse", jnp.abs(rows(3))),
     "robot.rnea_derivatives": of_robot(
         "rnea_derivatives", rows(3), rows(3), rows(6), has_slopes=False
     ),
     "robot.ArmTerms.of_state": lambda: Call(
         dr.ArmTerms.of_state, arm(), (jnp.asarray(Q), rows(3))
+    ),
+    "robot.ArmTerms.articulated_inverse": lambda: Call(
+        dr.ArmTerms.articulated_inverse, arm(), (jnp.asarray(Q), jnp.abs(rows(3)))
     ),
     "robot.ArmTerms.augmented_inverse": lambda: Call(
         lambda robot, q: dr.ArmTerms.of_state(robot, q, q).augmented_inverse(q**2),

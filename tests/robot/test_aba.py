@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 from robot.trees import random_tree
 
 import diffmill.robot as dr
-from diffmill.robot import augmented_inverse
+from diffmill.robot import ArmTerms
 
 
 def both(robot, *args):
@@ -102,7 +102,9 @@ def test_the_augmented_inverse_inverts(soft_arm, rng, difference, algorithm):
 
     @jax.jit
     def inverse(x):
-        return augmented_inverse(soft_arm, x[:n], x[n:], algorithm=algorithm)
+        if algorithm == "aba":
+            return ArmTerms.articulated_inverse(soft_arm, x[:n], x[n:])
+        return ArmTerms.of_state(soft_arm, x[:n], x[:n]).augmented_inverse(x[n:])
 
     x = np.concatenate([q, d])
     matrix = dr.mass_matrix(soft_arm, q) + np.diag(d)

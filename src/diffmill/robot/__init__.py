@@ -16,10 +16,7 @@ from ._algebra.rotations import rpy_matrix as rpy_matrix
 from ._control.controller import Controller as Controller
 from ._dynamics.crba import mass_matrix as mass_matrix
 from ._dynamics.energy import mechanical_energy as mechanical_energy
-from ._dynamics.forward import (
-    augmented_inverse as augmented_inverse,
-    forward_dynamics as forward_dynamics,
-)
+from ._dynamics.forward import forward_dynamics as forward_dynamics
 from ._dynamics.rnea import (
     gravity_forces as gravity_forces,
     inverse_dynamics as inverse_dynamics,

@@ -1,4 +1,4 @@
-"""Accelerations of the joints under given torques, and the inverse mass matrix."""
+"""Accelerations of the joints under given torques."""
 
 import functools
 from typing import Any
@@ -12,8 +12,7 @@ from jaxtyping import Array, Float
 from .._algebra.spatial import sum_rows
 from .._model.massless_joints import factor, refuse_singular
 from .._model.robot import JointVector, Robot, Wrench, joint_vector, wrench_vector
-from .aba import articulated_bodies, articulated_inverse, check_algorithm
-from .crba import mass_matrix
+from .aba import articulated_bodies, check_algorithm
 from .rnea import inverse_dynamics
 from .rnea_derivatives import rnea_derivatives
 from .spd_inverse import spd_inverse
@@ -65,38 +64,6 @@ def forward_dynamics(
     return refuse_singular(robot, accelerations, "forward dynamics")
 
 
-def augmented_inverse(
-    robot: Robot,
-    q: JointVector,
-    diagonal: JointVector,
-    *,
-    algorithm: str = "crba",
-) -> Float[Array, "joint joint"]:
-    """Return (M + diag(d))^-1: what a linearly implicit step multiplies with.
-
-    Args:
-        robot: The robot.
-        q: Joint positions [rad or m], shape (joint,).
-        diagonal: d, added to the inertia of each joint [kg m^2 or kg], shape (joint,).
-        algorithm: As for `forward_dynamics`.
-
-    Returns:
-        The inverse, symmetric, shape (joint, joint).
-
-    Raises:
-        ValueError: If the algorithm is unknown or cannot treat the robot, or if the
-            matrix is singular; under `jit` and `vmap` it is not a number instead.
-    """
-    check_algorithm(robot, algorithm)
-    inverse = _augmented_inverse(
-        algorithm,
-        robot,
-        joint_vector(robot, q, "q"),
-        joint_vector(robot, diagonal, "diagonal"),
-    )
-    return refuse_singular(robot, inverse, "inverse mass matrix")
-
-
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _solve(
     algorithm: str,
@@ -143,7 +110,7 @@ def _is_zero(tangent: Any) -> bool:
 
 
 def _change_with_robot(primals: tuple[Any, ...], qdd: Array, d_robot: Any) -> Array:
-    """Return how the torques of a motion change with the robot."""
+    """Change of the torques of a motion with the robot [N m], shape (joint,)."""
     robot, q, qd, _, wrench = primals
 
     # The reverse mode computes the motion again: inside a scan that is faster than
@@ -158,27 +125,4 @@ def _change_with_robot(primals: tuple[Any, ...], qdd: Array, d_robot: Any) -> Ar
     return jax.jvp(needed, (robot,), (full,))[1]
 
 
-@functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _invert(
-    algorithm: str,
-    robot: Robot,
-    q: Float[Array, " joint"],
-    diagonal: Float[Array, " joint"],
-) -> Float[Array, "joint joint"]:
-    if algorithm == "aba":
-        return articulated_inverse(robot, q, diagonal)
-    return spd_inverse(mass_matrix(robot, q) + jnp.diag(diagonal))
-
-
-@_invert.defjvp
-def _invert_jvp(
-    algorithm: str, primals: tuple[Any, ...], tangents: tuple[Any, ...]
-) -> tuple[Array, Array]:
-    inverse = _invert(algorithm, *primals)
-    augmented = lambda robot, q, diagonal: mass_matrix(robot, q) + jnp.diag(diagonal)
-    _, change = jax.jvp(augmented, primals, tangents)
-    return inverse, -sum_rows(inverse, sum_rows(change, inverse))
-
-
 _forward_dynamics = jax.jit(_solve, static_argnums=0)
-_augmented_inverse = jax.jit(_invert, static_argnums=0)

@@ -1,18 +1,23 @@
-"""Everything that the coupled simulation needs at one state, with shared work."""
+"""Terms of the equation of motion at one state, with shared work."""
+
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._algebra.spatial import sum_rows
 from .._kinematics.forward import (
     joint_frames,
     link_inertia_rows,
     tool_jacobian,
     tool_transform,
 )
+from .._model.massless_joints import refuse_singular
 from .._model.robot import JointVector, Robot, joint_vector
-from .crba import composite_mass_matrix, gravity_stiffness
+from .aba import articulated_inverse, check_algorithm
+from .crba import composite_mass_matrix, gravity_stiffness, mass_matrix
 from .rnea import newton_euler
 from .spd_inverse import spd_inverse
 
@@ -39,7 +44,7 @@ class ArmTerms(eqx.Module):
     def augmented_inverse(
         self, diagonal: Float[Array, " joint"] | None = None
     ) -> Float[Array, "joint joint"]:
-        """Return (M + diag(d))^-1, differentiated as an inverse.
+        """(M + diag(d))^-1, shape (joint, joint), differentiated as an inverse.
 
         Args:
             diagonal: d [kg m^2], shape (joint,); 0 if not given.
@@ -48,8 +53,35 @@ class ArmTerms(eqx.Module):
         return spd_inverse(M if diagonal is None else M + jnp.diag(diagonal))
 
     @staticmethod
+    def articulated_inverse(
+        robot: Robot, q: JointVector, diagonal: JointVector
+    ) -> Float[Array, "joint joint"]:
+        """(M + diag(d))^-1 by articulated bodies, without M.
+
+        Args:
+            robot: The robot, without mimic joints.
+            q: Joint positions [rad or m], shape (joint,).
+            diagonal: d, added to the inertia of each joint [kg m^2 or kg], shape
+                (joint,).
+
+        Returns:
+            The inverse, symmetric, shape (joint, joint).
+
+        Raises:
+            ValueError: If the robot has mimic joints, or if the matrix is singular;
+                under `jit` and `vmap` it is not a number instead.
+        """
+        check_algorithm(robot, "aba")
+        inverse = _articulated_inverse(
+            robot,
+            joint_vector(robot, q, "q"),
+            joint_vector(robot, diagonal, "diagonal"),
+        )
+        return refuse_singular(robot, inverse, "inverse mass matrix")
+
+    @staticmethod
     def of_state(robot: Robot, q: JointVector, qd: JointVector) -> "ArmTerms":
-        """Return pose, Jacobian, mass matrix, bias forces and their slope of one state.
+        """Terms at one state.
 
         The reverse mode recomputes the terms from q and qd: inside a scan that is twice
         as fast as storing some thirty intermediates per step.
@@ -58,9 +90,6 @@ class ArmTerms(eqx.Module):
             robot: The robot.
             q: Joint positions [rad or m], shape (joint,).
             qd: Joint velocities [rad/s or m/s], shape (joint,).
-
-        Returns:
-            The terms.
         """
         return _arm_terms(
             robot, joint_vector(robot, q, "q"), joint_vector(robot, qd, "qd")
@@ -82,3 +111,23 @@ def _arm_terms(
         bias_forces=newton_euler(robot, frames, inertias, qd),
         gravity_stiffness=gravity_stiffness(robot, frames, inertias),
     )
+
+
+@jax.custom_jvp
+def _inverse(
+    robot: Robot, q: Float[Array, " joint"], diagonal: Float[Array, " joint"]
+) -> Float[Array, "joint joint"]:
+    return articulated_inverse(robot, q, diagonal)
+
+
+@_inverse.defjvp
+def _inverse_jvp(
+    primals: tuple[Any, ...], tangents: tuple[Any, ...]
+) -> tuple[Array, Array]:
+    inverse = _inverse(*primals)
+    augmented = lambda robot, q, diagonal: mass_matrix(robot, q) + jnp.diag(diagonal)
+    _, change = jax.jvp(augmented, primals, tangents)
+    return inverse, -sum_rows(inverse, sum_rows(change, inverse))
+
+
+_articulated_inverse = jax.jit(_inverse)

@@ -9,7 +9,6 @@ from jaxtyping import Array, Float
 from ....robot import (
     ArmTerms,
     Robot,
-    augmented_inverse,
 )
 from .base import AbstractIntegrator, ArmState, Dynamics, MotorCommand, servo_torque
 
@@ -82,7 +81,7 @@ class Midpoint(AbstractIntegrator):
         diagonal = _condensed(robot, K, D, w * step).diagonal
         if self.dynamics == "aba":
             q = terms.joint_positions
-            inverse = augmented_inverse(robot, q, diagonal, algorithm="aba")
+            inverse = ArmTerms.articulated_inverse(robot, q, diagonal)
             return _Linearised(w, terms, inverse)
         return _Linearised(w, terms, terms.augmented_inverse(diagonal))
 
