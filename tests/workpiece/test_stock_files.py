@@ -134,6 +134,6 @@ def test_missing_files_and_folders_are_named(tmp_path):
 
 def test_a_file_that_would_fill_the_memory_is_not_read(tmp_path, stock, monkeypatch):
     wp.save(stock, tmp_path / "stock.npz")
-    monkeypatch.setattr("diffmill.workpiece._memory.physical_memory", lambda: 1e3)
+    monkeypatch.setattr("diffmill.workpiece._memory._memory_limit", lambda: 5e2)
     with pytest.raises(wp.StockFileError):
         wp.load_stock(tmp_path / "stock.npz")

@@ -187,7 +187,7 @@ def test_a_stock_without_material_has_no_mesh():
 
 def test_a_grid_too_large_is_refused_before_it_is_filled(monkeypatch):
     stock = wp.box([0, 0, 0], [2e-3, 2e-3, 2e-3], SPACING)
-    monkeypatch.setattr("diffmill.workpiece._memory.physical_memory", lambda: 1e3)
+    monkeypatch.setattr("diffmill.workpiece._memory._memory_limit", lambda: 5e2)
     with pytest.raises(ValueError):
         stock.to_mesh()
 

@@ -37,4 +37,3 @@ from ._mesh.surface_error import (
     SurfaceError as SurfaceError,
 )
 from ._pose import Pose as Pose
-from ._stock_memory import StockMemory as StockMemory

@@ -1,32 +1,51 @@
-"""Memory of a stock, and its limit."""
+"""Memory of a stock, before it is made, and its limit."""
 
 import math
 import os
 from collections.abc import Sequence
 
+import equinox as eqx
 
-def stock_bytes(
-    counts: Sequence[int | float], interval_counts: Sequence[int], item_size: int
-) -> float:
-    """Return the memory that a stock will take [byte].
 
-    Args:
-        counts: Grid lines along x, y and z, three of them.
-        interval_counts: Slots of a ray along x, y and z, three of them.
-        item_size: Size of a floating-point number [byte].
+class StockMemory(eqx.Module):
+    """Memory of a stock, and its limit.
+
+    Attributes:
+        needed: Size of the stock [byte].
+        limit: Half of the physical memory [byte]; infinite where it is not known.
     """
-    total = 0.0
-    for family, slots in enumerate(interval_counts):
-        rays = float(counts[(family + 1) % 3]) * float(counts[(family + 2) % 3])
-        # Two ends as numbers, and for each the index of the pose that cut it.
-        total += rays * slots * 2 * (item_size + 4)
-    return total
+
+    needed: float
+    limit: float
+
+    @classmethod
+    def of_grid(
+        cls, counts: Sequence[int | float], slots: Sequence[int], item_size: int
+    ) -> "StockMemory":
+        """Memory of a stock on a grid.
+
+        Args:
+            counts: Grid lines along x, y and z, three of them.
+            slots: Slots of a ray along x, y and z.
+            item_size: Size of a floating-point number [byte].
+        """
+        needed = 0.0
+        for family, slot_count in enumerate(slots):
+            rays = float(counts[(family + 1) % 3]) * float(counts[(family + 2) % 3])
+            # Two ends as numbers, and for each the index of the pose that cut it.
+            needed += rays * slot_count * 2 * (item_size + 4)
+        return cls(needed, _memory_limit())
+
+    @property
+    def is_too_much(self) -> bool:
+        """True if the stock is larger than the limit."""
+        return self.needed > self.limit
 
 
-def physical_memory() -> float:
-    """Return the memory of this machine [byte]; infinite where it does not tell."""
+def _memory_limit() -> float:
+    """Half of the physical memory [byte]; infinite where the system does not tell."""
     try:
-        return float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
+        return float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")) / 2
     except (AttributeError, ValueError, OSError):
         return math.inf
 
@@ -36,12 +55,12 @@ def check_memory(needed: float, what: str) -> None:
 
     Args:
         needed: Its size [byte].
-        what: What it is, to open the message.
+        what: Its name, which opens the message.
 
     Raises:
         ValueError: It is too large.
     """
-    limit = physical_memory() / 2
+    limit = _memory_limit()
     if needed > limit:
         raise ValueError(
             f"{what} takes {needed / 1e9:.3g} GB; at most half of the physical memory, "

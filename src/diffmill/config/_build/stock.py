@@ -12,7 +12,6 @@ from ...workpiece import (
     Mesh,
     Stock,
     StockFileError,
-    StockMemory,
     box,
     from_mesh,
     load_stock,
@@ -135,7 +134,7 @@ def _block(
         )
         return None
     slots = _slots(table) or _BLOCK_SLOTS
-    memory = StockMemory.of_block(upper - lower, table.spacing, slots, dtype.itemsize)
+    memory = Stock.memory_of_block(upper - lower, table.spacing, slots, dtype.itemsize)
     if memory.is_too_much:
         problems.append(
             f"[stock] spacing: found {table.spacing * 1e3:g} mm, for which the stock "

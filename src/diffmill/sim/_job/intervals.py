@@ -11,7 +11,6 @@ import jax.core
 
 from ..._job import Job
 from ..._result import RESULTS
-from ...workpiece import StockMemory
 
 # More intervals than this on a ray are no pocket but a fault of the program.
 _MOST = 128
@@ -38,8 +37,6 @@ def with_more_intervals(job: Job, result: RESULTS) -> Job | None:
     x, y, z = job.stock.interval_counts
     # A tool that stands upright never splits a ray along z.
     counts = (2 * x, 2 * y, 2 * z if job.simulation.axes else z)
-    size = job.stock.origin.dtype.itemsize
-    memory = StockMemory.of_grid(job.stock.grid_shape, counts, size)
-    if max(counts) > _MOST or memory.is_too_much:
+    if max(counts) > _MOST or job.stock.memory_with(counts).is_too_much:
         return None
     return job.with_intervals(counts)

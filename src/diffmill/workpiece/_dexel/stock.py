@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ..._types import RealScalarLike
+from .._memory import StockMemory
 from .._mesh.mesh import Mesh
 
 # A point as users pass it.
@@ -189,6 +190,30 @@ class Stock(eqx.Module):
         pairs = zip(self.families, interval_counts, strict=True)
         x, y, z = (_resized(rays, count) for rays, count in pairs)
         return dataclasses.replace(self, families=(x, y, z))
+
+    @staticmethod
+    def memory_of_block(
+        extent: Float[np.ndarray, " 3"],
+        spacing: float,
+        interval_counts: Sequence[int],
+        item_size: int,
+    ) -> StockMemory:
+        """Memory of the stock of a block, before it is made.
+
+        Args:
+            extent: Edges of the block [m], shape (3,).
+            spacing: Distance between rays [m].
+            interval_counts: Slots for intervals of a ray along x, y and z.
+            item_size: Size of a floating-point number [byte].
+        """
+        # In floating point: a tiny spacing would overflow whole numbers.
+        counts = np.maximum(np.round(extent / spacing), 1) + 2 * MARGIN
+        return StockMemory.of_grid(counts.tolist(), interval_counts, item_size)
+
+    def memory_with(self, interval_counts: Sequence[int]) -> StockMemory:
+        """Memory of the stock with other slots of a ray along x, y and z."""
+        item_size = self.origin.dtype.itemsize
+        return StockMemory.of_grid(self.grid_shape, interval_counts, item_size)
 
     def slots_in_use(self) -> Int[Array, " 3"]:
         """Return how many slots of each family hold anything, from the first on."""

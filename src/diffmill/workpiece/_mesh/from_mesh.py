@@ -9,8 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from .._dexel.stock import MARGIN, Rays, Stock, block_grid, check_interval_counts
-from .._memory import check_memory, stock_bytes
-from .._stock_memory import StockMemory
+from .._memory import StockMemory, check_memory
 from .mesh import Mesh
 
 if TYPE_CHECKING:
@@ -55,7 +54,9 @@ def stock_from_mesh(
         check_interval_counts(interval_counts)
     dtype = jnp.zeros(()).dtype if dtype is None else jnp.dtype(dtype)
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
-    _check_size(high - low, spacing, interval_counts or (8, 8, 1), dtype.itemsize)
+    smallest = interval_counts or (8, 8, 1)
+    memory = Stock.memory_of_block(high - low, spacing, smallest, dtype.itemsize)
+    check_memory(memory.needed, f"A stock of spacing {spacing:g} m")
     grid = block_grid(low, high, spacing)
     origin, counts = grid.origin, grid.counts
     solid = _solid(mesh)
@@ -68,8 +69,8 @@ def stock_from_mesh(
             f"at {spacing:g} m no ray along {' and '.join(axes)} does."
         )
     slots = _slots(needed, interval_counts)
-    size = stock_bytes(counts.tolist(), slots, dtype.itemsize)
-    check_memory(size, f"A stock of spacing {spacing:g} m")
+    memory = StockMemory.of_grid(counts.tolist(), slots, dtype.itemsize)
+    check_memory(memory.needed, f"A stock of spacing {spacing:g} m")
     families = [
         _rays(
             pieces[f],
@@ -86,16 +87,6 @@ def stock_from_mesh(
         spacing=float(spacing),
         top=float(high[2]),
     )
-
-
-def _check_size(
-    size: Float[np.ndarray, " 3"],
-    spacing: float,
-    slots: Sequence[int],
-    item_size: int,
-) -> None:
-    needed = StockMemory.of_block(size, spacing, slots, item_size).needed
-    check_memory(needed, f"A stock of spacing {spacing:g} m")
 
 
 def _slots(needed: list[int], wanted: Sequence[int] | None) -> Sequence[int]:
