@@ -88,7 +88,7 @@ def _trade_off(report: Report, job: dm.Job, correction: dm.Correction) -> None:
         method = dm.correction.GaussNewton(
             knot_spacing=knots,
             solver=dm.optimise.LevenbergMarquardt(
-                max_steps=settings.max_steps, damping=1e-6, share=1e-2
+                max_steps=settings.max_steps, damping=1e-6, cost_rtol=1e-2
             ),
         )
         found = method(problem, start=start)

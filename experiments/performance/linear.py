@@ -144,7 +144,7 @@ def run_time(job: dm.Job) -> float:
 def steps_of(report: Report, name: str, problem: co.Problem, run: float) -> float:
     """Tell of some steps of Gauss-Newton; return the runs that one takes."""
     method = co.GaussNewton(
-        solver=LevenbergMarquardt(max_steps=STEPS, damping=1e-4, share=1e-2)
+        solver=LevenbergMarquardt(max_steps=STEPS, damping=1e-4, cost_rtol=1e-2)
     )
     found, times = method(problem), []
     for _ in range(RUNS if isinstance(problem.plant, co.TipPlant) else 1):

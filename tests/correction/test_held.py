@@ -23,7 +23,7 @@ from diffmill.workpiece import box
 TIME_STEP = 5e-3
 RADIUS = 5e-3
 ROWS = 161
-PATIENT = LevenbergMarquardt(max_steps=12, damping=1e-6, share=1e-6)
+PATIENT = LevenbergMarquardt(max_steps=12, damping=1e-6, cost_rtol=1e-6)
 
 
 def straight_wall():

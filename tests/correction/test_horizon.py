@@ -28,7 +28,7 @@ KNOTS = 30e-3
 # Rings off within the overlap, so that what comes behind it does not matter.
 PLANT = soft_arm(TIME_STEP, damping_ratio=0.1)
 METHOD = GaussNewton(
-    KNOTS, solver=LevenbergMarquardt(max_steps=6, damping=1e-6, share=1e-3)
+    KNOTS, solver=LevenbergMarquardt(max_steps=6, damping=1e-6, cost_rtol=1e-3)
 )
 
 
@@ -317,7 +317,7 @@ def test_a_second_sweep_forgets_what_the_start_had_behind_a_segment(problem):
 
 def test_a_sweep_that_another_follows_takes_half_of_the_steps(problem):
     # No decrease is too small, so that a segment takes as many steps as it may.
-    solver = dataclasses.replace(METHOD.solver, max_steps=2, share=0.0)
+    solver = dataclasses.replace(METHOD.solver, max_steps=2, cost_rtol=0.0)
     method = dataclasses.replace(METHOD, solver=solver)
     pieces = SpringPieces(problem.plant)
     counts = []

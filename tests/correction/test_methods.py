@@ -259,7 +259,7 @@ def test_joint_commands_need_no_tip():
         )
 
     problem = Problem(plant, nominal, path, is_cutting.astype(float), TIME_STEP)
-    solver = LevenbergMarquardt(max_steps=10, damping=1e-6, share=1e-6)
+    solver = LevenbergMarquardt(max_steps=10, damping=1e-6, cost_rtol=1e-6)
     found = GaussNewton(0.1, smoothness=0.0, solver=solver)(problem)
     before = GivenCommand()(problem)
     assert found.measures.rms < 0.02 * before.measures.rms

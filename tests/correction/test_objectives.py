@@ -86,7 +86,7 @@ def test_two_steps_come_near_a_band_that_can_be_kept():
     largest = lambda contour: np.linalg.norm(contour[is_cutting], axis=1).max()
     assert largest(np.asarray(problem.contour(problem.run(path)))) > 600e-6
     band = 150e-6
-    solver = LevenbergMarquardt(max_steps=2, damping=1e-4, share=1e-2)
+    solver = LevenbergMarquardt(max_steps=2, damping=1e-4, cost_rtol=1e-2)
     left = {
         kind: largest(
             GaussNewton(30e-3, objective=kind(band), solver=solver)(problem).contour

@@ -22,7 +22,7 @@ from diffmill.optimise import (
 
 TIME = np.linspace(0.0, 3.0, 40)
 TRUTH = np.array([2.0, 1.3])
-SOLVER = LevenbergMarquardt(max_steps=60, still=1e-12)
+SOLVER = LevenbergMarquardt(max_steps=60, step_atol=1e-12)
 
 
 def decay(x):
@@ -188,7 +188,9 @@ class SumOfTwo(AbstractProblem):
 
 @pytest.mark.parametrize("far", [1, 28, 60])
 def test_damping_after_many_good_steps_is_not_too_small_for_a_refused_one(far):
-    solver = LevenbergMarquardt(max_steps=100, longest=0.1, damping=1e-4, share=1e-3)
+    solver = LevenbergMarquardt(
+        max_steps=100, max_step=0.1, damping=1e-4, cost_rtol=1e-3
+    )
     found = least_squares(Ramp(), np.array([-0.1 * far - 0.03]), solver)
     least: Any = scipy.optimize.minimize_scalar(
         lambda x: 0.5 * np.sum(Ramp().evaluate(np.array([x])) ** 2), bounds=(-1, 1)
@@ -198,14 +200,16 @@ def test_damping_after_many_good_steps_is_not_too_small_for_a_refused_one(far):
 
 
 def test_unknowns_of_one_effect_share_it_after_many_good_steps():
-    solver = LevenbergMarquardt(max_steps=100, longest=0.1, damping=1e-4, share=1e-9)
+    solver = LevenbergMarquardt(
+        max_steps=100, max_step=0.1, damping=1e-4, cost_rtol=1e-9
+    )
     found = least_squares(SumOfTwo(), np.zeros(2), solver)
     assert_allclose(found.x, 3.5, rtol=1e-6)
 
 
 @pytest.mark.parametrize("share", [0.0, 1e-3])
 def test_a_search_ends_at_an_exact_solution(share):
-    solver = LevenbergMarquardt(max_steps=100, share=share)
+    solver = LevenbergMarquardt(max_steps=100, cost_rtol=share)
     found = least_squares(SumOfTwo(), np.zeros(2), solver)
     assert found.has_converged and found.history[-1].cost == 0
     assert found.steps < 10
@@ -216,7 +220,9 @@ def test_a_search_ends_at_an_exact_solution(share):
 
 def test_steps_are_no_longer_than_allowed():
     problem = Decay()
-    solver = LevenbergMarquardt(max_steps=60, still=1e-12, longest=np.array([0.5, 0.2]))
+    solver = LevenbergMarquardt(
+        max_steps=60, step_atol=1e-12, max_step=np.array([0.5, 0.2])
+    )
     found = least_squares(problem, np.array([8.0, 4.0]), solver)
     assert_allclose(found.x, least_squares(Decay(), TRUTH, SOLVER).x, rtol=1e-6)
     moves = np.abs(np.diff(problem.calls, axis=0))
@@ -238,7 +244,7 @@ def test_a_state_goes_on_where_it_ended():
     whole, told = Decay(), []
     wanted = least_squares(whole, start, SOLVER, callback=told.append)
     assert [state.steps for state in told] == list(range(1, wanted.steps + 1))
-    few = LevenbergMarquardt(max_steps=3, still=1e-12)
+    few = LevenbergMarquardt(max_steps=3, step_atol=1e-12)
     first = least_squares(Decay(), start, few)
     assert first.steps == 3 and not first.has_converged
     rest = Decay()
@@ -285,7 +291,7 @@ class Useless(AbstractProblem):
 
 
 def test_an_unknown_without_effect_stays():
-    solver = LevenbergMarquardt(max_steps=60, still=np.array([1e-3, 1e-12, 0.1]))
+    solver = LevenbergMarquardt(max_steps=60, step_atol=np.array([1e-3, 1e-12, 0.1]))
     found = least_squares(Useless(), np.array([1e8, 5.0, 7.0]), solver)
     wanted = least_squares(Decay(), TRUTH, SOLVER).x
     assert found.has_converged and found.x[2] == 7.0
@@ -329,7 +335,7 @@ def test_bounds_of_outputs_are_those_of_a_dense_solver(shift):
         shift,
         held,
     )
-    solver = LevenbergMarquardt(max_steps=80, share=1e-9)
+    solver = LevenbergMarquardt(max_steps=80, cost_rtol=1e-9)
     assert held.is_within(problem.evaluate(np.zeros(6))[1]) == (shift == 0.0)
     found = least_squares(problem, np.zeros(6), solver)
     assert held.is_within(found.value[1])

@@ -62,7 +62,7 @@ class LinearRows(eqx.Module):
     weight: float = np.inf
 
     def energy(self, p: Vector) -> float:
-        """Return that of the springs after a step, 0 for constraints."""
+        """Return the energy of the springs after a step, 0 for constraints."""
         if np.isinf(self.weight):
             return 0.0
         values = self.matrix @ p
@@ -102,7 +102,7 @@ class QuadraticModel(eqx.Module):
     rows: tuple[LinearRows, ...] = ()
 
     def decrease(self, p: Vector) -> float:
-        """Return by how much a step lowers the cost in the model."""
+        """Decrease of the cost by a step, as the model foresees it."""
         change = float(self.gradient @ p + 0.5 * p @ self.curvature @ p)
         for rows in self.rows:
             change += rows.energy(p) - rows.energy(np.zeros_like(p))
@@ -129,11 +129,11 @@ class QuadraticModel(eqx.Module):
         H = H + damping * np.eye(len(H))
         rows = tuple(_in_units(rows, is_free, unit) for rows in (box, *self.rows))
         gradient = self.gradient[is_free] * unit
-        found = QuadraticModel(self.cost, gradient, H, rows).minimum()
-        if found is None:
+        least = QuadraticModel(self.cost, gradient, H, rows).minimum()
+        if least is None:
             return None
         p = np.zeros(len(own))
-        p[is_free] = found * unit
+        p[is_free] = least * unit
         # The solver stops just short of a bound.
         width = box.upper - box.lower
         near = np.where(np.isfinite(width), _AT_BOUND * width, 0.0)
@@ -170,12 +170,11 @@ class QuadraticModel(eqx.Module):
             if not is_new.any():
                 return x
             is_held |= is_new
-            found = solve_quadratic_program(
+            x = solve_quadratic_program(
                 H, g, matrix[is_held], lower[is_held], upper[is_held], weight[is_held]
             )
-            if found is None:
+            if x is None:
                 return None
-            x = found.x
 
 
 class AbstractProblem(eqx.Module):
@@ -183,12 +182,12 @@ class AbstractProblem(eqx.Module):
 
     @abc.abstractmethod
     def evaluate(self, x: Vector) -> Value | None:
-        """Return what is to be known at a point; None where it does not exist."""
+        """Value at a point; None where it does not exist."""
 
     def evaluate_for_model(self, x: Vector) -> Value | None:
-        """Return what `evaluate` does, where the model is likely to be wanted next.
+        """Value at a point whose model is likely to be wanted next.
 
-        For problems where what the model needs has the value too.
+        For problems where the model needs a computation that gives the value too.
 
         Args:
             x: The point, shape (unknown,).
@@ -196,7 +195,7 @@ class AbstractProblem(eqx.Module):
         return self.evaluate(x)
 
     def has_model(self, value: Value) -> bool:
-        """Tell whether a value came with what its model needs, which is then not made.
+        """True if a value came with all that its model needs, which is then not made.
 
         Args:
             value: What the problem has computed.
@@ -205,7 +204,7 @@ class AbstractProblem(eqx.Module):
         return False
 
     def without_model(self, value: Value) -> Value:
-        """Return a value without what its model needed, once that is made.
+        """Value without what only its model needed, once that is made.
 
         Args:
             value: What the problem has computed.
@@ -228,32 +227,34 @@ class LevenbergMarquardt(eqx.Module):
     Attributes:
         max_steps: Steps at most.
         attempts: Trials for a step before the point counts as the best.
-        longest: Largest change of each unknown in a step, a number or shape (unknown,).
+        max_step: Largest change of each unknown in a step, a number or shape
+            (unknown,).
         damping: First damping, over the diagonal of the curvature.
-        less: Factor of the damping after a good trial, down to 1e-10.
-        more: Factor after a refused one, as often as the next step needs to be shorter.
-        rest: Squared length of a step in the metric of the curvature at which a good
-            step is the last.
-        kink: The same for a refused step: further ones would be refused too.
-        still: Largest change of each unknown that counts as none, likewise.
-        share: A step is worth a trial if its decrease over the cost, as the model
+        damping_decrease: Factor of the damping after a good trial, down to 1e-10.
+        damping_increase: Factor after a refused one, as often as the next step needs to
+            be shorter.
+        step_rtol: Stop after an accepted step p with p^T H p < step_rtol.
+        rejected_step_rtol: The same for a refused step: further ones would be refused
+            too.
+        step_atol: Stop after a step that changes each unknown by less than this.
+        cost_rtol: A step is worth a trial if its decrease over the cost, as the model
             foresees it, is more than this.
     """
 
     max_steps: int = 25
     attempts: int = 10
-    longest: float | Vector = np.inf
+    max_step: float | Vector = np.inf
     damping: float = 1e-3
-    less: float = 0.1
-    more: float = 10.0
-    rest: float = 0.0
-    kink: float = 0.0
-    still: float | Vector = 0.0
-    share: float = 0.0
+    damping_decrease: float = 0.1
+    damping_increase: float = 10.0
+    step_rtol: float = 0.0
+    rejected_step_rtol: float = 0.0
+    step_atol: float | Vector = 0.0
+    cost_rtol: float = 0.0
 
 
 class LeastSquaresStep(eqx.Module):
-    """A step that was looked for, with what it has come to so far.
+    """A step of the search, with its costs so far.
 
     Attributes:
         cost: That of the best point, as the model of this step counts it.
@@ -283,7 +284,7 @@ class LeastSquaresState(eqx.Module):
         evaluations: How often the problem was evaluated, without a model.
         models: How often its quadratic model was made.
         has_converged: Whether no further step is worth while.
-        history: The steps that were looked for.
+        history: The steps, those without an accepted trial too.
     """
 
     x: Vector
@@ -332,8 +333,8 @@ def least_squares(
         upper: Largest values, likewise.
         state: An earlier state to go on from, or its value at `x0`, which then is not
             computed again; within the bounds too.
-        callback: Called with the state after each step that was looked for; True ends
-            the search.
+        callback: Called with the state after each step, without an accepted trial too;
+            True ends the search.
         clock: Returns the time [s].
 
     Returns:
@@ -342,6 +343,8 @@ def least_squares(
     Raises:
         ValueError: The problem has no value at `x0`, or it is out of the bounds.
     """
+    from scipy import sparse
+
     start = x0 if state is None else state.x
     if not np.all((lower <= start) & (start <= upper)):
         raise ValueError(
@@ -355,45 +358,27 @@ def least_squares(
                 "Argument `x0` must be a point of the problem, but is not."
             )
         state = LeastSquaresState.begin(problem, x0, value, solver.damping)
-    bounds = _bounds(state.x, lower, upper)
+    bounds = LinearRows(
+        sparse.csr_array(sparse.eye_array(len(start))),
+        np.broadcast_to(lower, start.shape),
+        np.broadcast_to(upper, start.shape),
+    )
     began = clock() - (state.history[-1].seconds if state.history else 0.0)
+    seconds = lambda: clock() - began
     for _ in range(solver.max_steps - state.steps):
         if state.has_converged:
             break
-        # What the model is made of may be large, and is not held through the trials.
         model = problem.model(state.x, state.value)
-        state = _without_model(problem, state)
-        seconds = lambda: clock() - began
+        # What the model is made of may be large, and is not held through the trials.
+        state = dataclasses.replace(
+            state,
+            value=problem.without_model(state.value),
+            models=state.models + (not problem.has_model(state.value)),
+        )
         state = _stepped(problem, model, state, solver, bounds, seconds)
         if callback is not None and callback(state):
             break
     return state
-
-
-def _bounds(x: Vector, lower: float | Vector, upper: float | Vector) -> LinearRows:
-    """Return the bounds of a point as constraints."""
-    from scipy import sparse
-
-    return LinearRows(
-        sparse.csr_array(sparse.eye_array(len(x))),
-        np.broadcast_to(lower, x.shape),
-        np.broadcast_to(upper, x.shape),
-    )
-
-
-def _box(x: Vector, longest: float | Vector, bounds: LinearRows) -> LinearRows:
-    """Return the bounds of a step from a point within them."""
-    lower = np.maximum(bounds.lower - x, np.negative(longest))
-    return LinearRows(bounds.matrix, lower, np.minimum(bounds.upper - x, longest))
-
-
-def _without_model(
-    problem: AbstractProblem, state: LeastSquaresState
-) -> LeastSquaresState:
-    """Return a state without what the model around its point has needed."""
-    models = state.models + (not problem.has_model(state.value))
-    value = problem.without_model(state.value)
-    return dataclasses.replace(state, value=value, models=models)
 
 
 def _stepped(
@@ -404,23 +389,27 @@ def _stepped(
     bounds: LinearRows,
     seconds: Callable[[], float],
 ) -> LeastSquaresState:
-    """Return the state after one step, or where none is worth while."""
+    """State after one step; converged where none is worth while."""
     now, damping = model.cost(state.x, state.value), state.damping
     cost, used, is_better, has_converged = now, damping, False, True
-    box = _box(state.x, solver.longest, bounds)
+    box = LinearRows(
+        bounds.matrix,
+        np.maximum(bounds.lower - state.x, np.negative(solver.max_step)),
+        np.minimum(bounds.upper - state.x, solver.max_step),
+    )
     # Largest squared length of a trial, in the metric of the curvature.
     longest, trials = np.inf, 0
     for _ in range(solver.attempts + _RAISES):
         p = model.damped_step(damping, box)
         if p is None:
-            damping *= solver.more
+            damping *= solver.damping_increase
             continue
         # Equal too: at an exact solution, and for no share, nothing is to be gained.
-        if model.decrease(p) <= solver.share * now:
+        if model.decrease(p) <= solver.cost_rtol * now:
             break
         curved = float(p @ model.curvature @ p)
         if curved > longest:
-            damping *= solver.more
+            damping *= solver.damping_increase
             continue
         used = damping
         is_last = state.steps + 1 >= solver.max_steps
@@ -438,17 +427,18 @@ def _stepped(
         )
         trials += 1
         is_better = value is not None and bool(cost <= now and np.isfinite(cost))
-        damping *= solver.less if is_better else solver.more
+        damping *= solver.damping_decrease if is_better else solver.damping_increase
         damping = max(damping, _LEAST_DAMPING)
-        is_still = bool(np.all(np.abs(p) < solver.still))
+        is_tiny = bool(np.all(np.abs(p) < solver.step_atol))
         if is_better:
             state = dataclasses.replace(
                 state, x=trial, value=value, steps=state.steps + 1
             )
-            has_converged = is_still or curved < solver.rest
-            has_converged |= now - cost <= solver.share * now
+            has_converged = is_tiny or curved < solver.step_rtol
+            has_converged |= now - cost <= solver.cost_rtol * now
             break
-        if is_still or curved < solver.kink or trials == solver.attempts:
+        is_tiny |= curved < solver.rejected_step_rtol
+        if is_tiny or trials == solver.attempts:
             break
         # A step that hardly differs from one that was refused is refused too.
         longest = min(longest, curved) * _SHORTER**2

@@ -41,11 +41,11 @@ class OutputConstraints(eqx.Module):
             )
 
     def is_within(self, outputs: Outputs) -> bool:
-        """Tell whether all outputs are within their bounds."""
+        """True if all outputs are within their bounds."""
         return bool(np.all((outputs >= self.lower) & (outputs <= self.upper)))
 
     def cost(self, outputs: Outputs, *, is_hard: bool) -> float:
-        """Return the cost of what is outside: infinite, or of the soft constraint."""
+        """Cost of outputs out of bounds: infinite, or that of the soft constraint."""
         if is_hard:
             return 0.0 if self.is_within(outputs) else np.inf
         drawn = np.clip(outputs, _DRAWN_IN * self.lower, _DRAWN_IN * self.upper)

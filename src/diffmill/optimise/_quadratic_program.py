@@ -9,7 +9,7 @@ conic programs with quadratic objectives, 2024.
 """
 
 import importlib
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float
@@ -21,18 +21,6 @@ if TYPE_CHECKING:
 _SOLVED = ("Solved", "AlmostSolved")
 
 
-class QuadraticProgramSolution(NamedTuple):
-    """Minimiser of a quadratic program.
-
-    Attributes:
-        x: The minimiser, shape (unknown,).
-        push: Multiplier of each row, positive at its upper bound, shape (row,).
-    """
-
-    x: Float[np.ndarray, " unknown"]
-    push: Float[np.ndarray, " row"]
-
-
 def solve_quadratic_program(
     P: "Float[np.ndarray, 'unknown unknown'] | csr_array",
     c: Float[np.ndarray, " unknown"],
@@ -40,7 +28,7 @@ def solve_quadratic_program(
     lower: Float[np.ndarray, " row"],
     upper: Float[np.ndarray, " row"],
     weight: Float[np.ndarray, " row"] | None = None,
-) -> QuadraticProgramSolution | None:
+) -> Float[np.ndarray, " unknown"] | None:
     """Minimise a convex quadratic function within bounds of linear rows.
 
     Args:
@@ -52,7 +40,8 @@ def solve_quadratic_program(
         weight: w of each row, infinite for a bound; all are bounds if not given.
 
     Returns:
-        The solution, to about eight digits; None if the solver finds none.
+        The minimiser x, to about eight digits, shape (unknown,); None if the solver
+        finds none.
     """
     from scipy import sparse
 
@@ -75,7 +64,7 @@ def solve_quadratic_program(
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     cones = [clarabel.NonnegativeConeT(len(b))]
-    found = clarabel.DefaultSolver(
+    solution = clarabel.DefaultSolver(
         sparse.csc_matrix(sparse.triu(full)),
         c,
         sparse.csc_matrix(A),
@@ -83,11 +72,7 @@ def solve_quadratic_program(
         cones,
         settings,
     ).solve()
-    x = np.asarray(found.x)[:unknowns]
-    if str(found.status) not in _SOLVED or not np.all(np.isfinite(x)):
+    x = np.asarray(solution.x)[:unknowns]
+    if str(solution.status) not in _SOLVED or not np.all(np.isfinite(x)):
         return None
-    z = np.asarray(found.z)
-    push = np.zeros(L.shape[0])
-    push[over] += z[: over.size]
-    push[under] -= z[over.size :]
-    return QuadraticProgramSolution(x, push)
+    return x

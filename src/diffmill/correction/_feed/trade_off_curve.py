@@ -111,9 +111,9 @@ class FeedPoint(eqx.Module):
         solver = LevenbergMarquardt(
             max_steps=max_steps,
             attempts=_ATTEMPTS,
-            longest=_STRIDE,
-            less=_LESS,
-            share=_SETTLED,
+            max_step=_STRIDE,
+            damping_decrease=_LESS,
+            cost_rtol=_SETTLED,
         )
         tell = on_progress or (lambda message, share: None)
         state = LeastSquaresState(x, first, solver.damping)

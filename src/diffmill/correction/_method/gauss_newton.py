@@ -51,7 +51,7 @@ class GaussNewton(AbstractMethod):
     smoothness: float = 1e-2
     lag_weight: float = 0.03
     solver: LevenbergMarquardt = LevenbergMarquardt(
-        max_steps=6, damping=1e-4, share=1e-2
+        max_steps=6, damping=1e-4, cost_rtol=1e-2
     )
     objective: AbstractObjective = PathObjective()
     ensemble: Ensemble | None = None

@@ -401,7 +401,9 @@ def fit_offsets(
         return is_stopped or fit.is_within(found.value)
 
     if not fit.is_within(state.value):
-        back = dataclasses.replace(solver, max_steps=_RETURN_STEPS, share=_RETURN_SHARE)
+        back = dataclasses.replace(
+            solver, max_steps=_RETURN_STEPS, cost_rtol=_RETURN_SHARE
+        )
         x, begun, state = state.x, [state], _without_model(fit, state)
         least_squares(
             fit, x, back, lower=lower, upper=upper, state=begun.pop(), callback=tell

@@ -342,7 +342,7 @@ def _descend(
             solution = least_squares(
                 problem,
                 start,
-                LevenbergMarquardt(max_steps=max_steps, share=_SETTLED),
+                LevenbergMarquardt(max_steps=max_steps, cost_rtol=_SETTLED),
                 lower=lower / widths,
                 upper=upper / widths,
             )

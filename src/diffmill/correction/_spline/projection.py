@@ -58,7 +58,7 @@ def project(
     axes = gradient.shape[1]
     box = np.full(gradient.size, bound)
     hard = [_moved(limit, _TOLERANCE) for limit in limits]
-    found = solve_quadratic_program(
+    least = solve_quadratic_program(
         sparse.csr_array(
             sparse.kron(_symmetric(spline.normal_band()), sparse.eye_array(axes))
         ),
@@ -69,12 +69,12 @@ def project(
         np.concatenate([-box.reshape(-1), *(limit.lower for limit in hard)]),
         np.concatenate([box.reshape(-1), *(limit.upper for limit in hard)]),
     )
-    if found is None:
+    if least is None:
         raise QuadraticNotSolved(
             "The command could not be brought within its limits: the quadratic program "
             "has no solution to working precision."
         )
-    p = np.clip(found.x.reshape(gradient.shape), -bound, bound)
+    p = np.clip(least.reshape(gradient.shape), -bound, bound)
     loose = [_moved(limit, -_TOLERANCE) for limit in limits]
     return min(1.0, feasible_share(p, loose)) * p
 

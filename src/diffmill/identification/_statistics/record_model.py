@@ -59,8 +59,8 @@ def record_solver(
     """Return the settings that suit a record."""
     return LevenbergMarquardt(
         max_steps=max_steps,
-        longest=np.where(is_log, _LONGEST, np.inf),
-        rest=_REST,
-        kink=_KINK,
-        still=_STILL,
+        max_step=np.where(is_log, _LONGEST, np.inf),
+        step_rtol=_REST,
+        rejected_step_rtol=_KINK,
+        step_atol=_STILL,
     )
