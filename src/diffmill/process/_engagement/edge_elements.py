@@ -184,10 +184,15 @@ class EdgeElementsInSpace(AbstractEngagement):
         earlier: Pose,
         decimated: Pose,
     ) -> Float[Array, "angle 6"]:
-        """Return force and moment on the tool at the angles of one sub-step.
+        """Force and moment on the tool at the angles of one sub-step.
 
-        Per element, F = -F_t t - F_r n + F_a (t x n): t is the way of the tooth, n the
-        outward normal. Altintas, Manufacturing Automation, 2012, general end mill.
+            F = sum over teeth and elements of o b (-F_t t - F_r n + F_a (t x n))
+            M = sum over teeth and elements of l z x F
+
+        # symbols: o occupancy, b width and l height of an element, F_t, F_r, F_a forces
+        per width, t direction of the tooth, n outward normal, z tool axis
+
+        Reference: Altintas, Manufacturing Automation, 2012, general end mill.
         """
         e, tooth = samples.outward, samples.tooth
         cutter = process.cutter
@@ -270,7 +275,7 @@ class EdgeElementsInSpace(AbstractEngagement):
         earlier: Pose,
         decimated: Pose,
     ) -> Float[Array, "angle kept element"]:
-        """Return the unclipped chip thickness of one sub-step [m]."""
+        """Unclipped chip thickness of one sub-step [m]."""
         return self._chip(process, samples, pose, earlier, decimated).thickness
 
     def element_heights(
@@ -324,7 +329,7 @@ class EdgeElementsInSpace(AbstractEngagement):
     def _centroids(
         self, elements: EdgeElements, places: "_EdgePlaces"
     ) -> Float[Array, "substep angle kept element 3"]:
-        """Return the centroids of the surfaces that elements pass in their samples [m].
+        """Centroids of the surfaces that elements pass in their samples [m].
 
         A sample weighs what lies up to one angle step to each side as a hat does, whose
         variance is a sixth; the arc falls inward of its tangent by half of that.
@@ -407,7 +412,7 @@ def _lead(
     frame: Float[Array, "3 3"],
     outward: RadialDirection,
 ) -> Float[Array, "angle tooth element"]:
-    """Return the share of the motion along the normals of elements."""
+    """Share of the motion along the normals of elements."""
     x, y, z = frame.T @ (motion / jnp.sqrt(jnp.sum(motion**2) + STILL**2))
     sin_kappa, cos_kappa = (
         elements.sin_kappa[None, None],

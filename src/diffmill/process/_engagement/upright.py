@@ -134,7 +134,7 @@ class UprightFlat(AbstractEngagement):
         earlier: Pose,
         decimated: Pose,
     ) -> Float[Array, "angle 6"]:
-        """Return force and moment on the tool at the angles of one sub-step."""
+        """Force and moment on the tool at the angles of one sub-step."""
         cutter, outward = process.cutter, samples.outward
         tip, old = pose.tip, earlier.tip
         chip, per_way = _chip(process, tip, old, decimated.tip, outward)
@@ -173,7 +173,7 @@ class UprightFlat(AbstractEngagement):
         earlier: Pose,
         decimated: Pose,
     ) -> Float[Array, "angle kept element"]:
-        """Return the unclipped chip thickness of one sub-step [m]."""
+        """Unclipped chip thickness of one sub-step [m]."""
         e = samples.outward
         return _chip(process, pose.tip, earlier.tip, decimated.tip, e).thickness
 
@@ -202,7 +202,14 @@ def wrench_of_discs(
     chip: Float[Array, "angle kept element"],
     touch: Float[Array, "angle kept element"],
 ) -> Float[Array, "angle 6"]:
-    """Return force and moment on the tool from the chips of its discs.
+    """Force and moment on the tool from the chips of its discs.
+
+        F = sum over teeth and discs of o b (-F_t t - F_r e + F_a z)
+        M = sum over teeth and discs of z_d z x F
+
+    # symbols: o occupancy, b width of the edge in a disc, z_d height of a disc, F_t, F_r,
+    F_a forces per width, t = (cos, -sin, 0) along and e = (sin, cos, 0) outward of the
+    cut at the immersion angle, z tool axis
 
     Args:
         process: The process.
@@ -267,7 +274,7 @@ def _chip(
 def immersion_angles(
     process: Process, dtype: jnp.dtype, part: Substeps | None = None
 ) -> Float[Array, "substep angle kept disc"]:
-    """Return the immersion angle of every tooth at every sample of a period [rad].
+    """Immersion angle phi of every tooth at every sample of a period [rad].
 
     Every period begins with a tooth at angle 0 at the tip; a disc higher up lags by
     2 z tan(helix) / D.
@@ -318,6 +325,6 @@ def _leading_samples(
 def _lead(
     motion: Float[Array, "*#sample 2"], outward: RadialDirection
 ) -> Float[Array, "*sample"]:
-    """Return the sine of the angle by which a tooth has entered the leading half."""
+    """Sine of the angle by which a tooth has entered the leading half."""
     motion = motion / jnp.sqrt(jnp.sum(motion**2, -1, keepdims=True) + STILL**2)
     return outward.sin * motion[..., 0] + outward.cos * motion[..., 1]

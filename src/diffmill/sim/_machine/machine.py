@@ -117,7 +117,13 @@ class Period(eqx.Module):
 
 
 class AbstractMachine(eqx.Module):
-    """Machine: it moves the tool along a command, compliant or rigid."""
+    """Machine: it moves the tool along a command, compliant or rigid.
+
+        x_{k+1} = f(x_k, theta_k, F_k),   p_k = pose(x_k)
+
+    # symbols: k tooth period, x state of the machine, theta command, p pose of the tool,
+    F loads of the teeth, which follow the poses of this period and of those before
+    """
 
     @abc.abstractmethod
     def begin(self, process: Process, command: PyTree) -> PyTree:
