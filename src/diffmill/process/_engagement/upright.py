@@ -207,9 +207,9 @@ def wrench_of_discs(
         F = sum over teeth and discs of o b (-F_t t - F_r e + F_a z)
         M = sum over teeth and discs of z_d z x F
 
-    # symbols: o occupancy, b width of the edge in a disc, z_d height of a disc, F_t, F_r,
-    F_a forces per width, t = (cos, -sin, 0) along and e = (sin, cos, 0) outward of the
-    cut at the immersion angle, z tool axis
+    # symbols: o occupancy, b width of the edge in a disc, z_d height of a disc, F_t,
+    F_r, F_a forces per width, t = (cos, -sin, 0) along and e = (sin, cos, 0) outward of
+    the cut at the immersion angle, z tool axis
 
     Args:
         process: The process.

@@ -121,8 +121,8 @@ class AbstractMachine(eqx.Module):
 
         x_{k+1} = f(x_k, theta_k, F_k),   p_k = pose(x_k)
 
-    # symbols: k tooth period, x state of the machine, theta command, p pose of the tool,
-    F loads of the teeth, which follow the poses of this period and of those before
+    # symbols: k tooth period, x state of the machine, theta command, p pose of the
+    tool, F loads of the teeth, which follow the poses of this period and those before
     """
 
     @abc.abstractmethod
