@@ -1,41 +1,26 @@
-import json
 import math
 
 import numpy as np
 import pytest
 
-from diffmill import JobError, load_job
-from small_job import PROGRAM, small_job
-
-MILL = {"diameter": "10 mm", "teeth": 3}
+from diffmill import load_job
+from small_job import PROGRAM, problems_of, write_job
 
 
 @pytest.fixture
-def job_file(tmp_path):
+def write(tmp_path):
     """Return a function that writes a job with keys of its cutter."""
-    (tmp_path / "part.ngc").write_text(PROGRAM)
 
     def write(**keys):
-        lines = [f"{key} = {json.dumps(value)}" for key, value in (MILL | keys).items()]
-        (tmp_path / "job.toml").write_text(small_job("\n".join(lines)))
-        return tmp_path / "job.toml"
+        changes = {f"cutter.{key}": value for key, value in keys.items()}
+        return write_job(tmp_path, {"cutter.teeth": 3}, changes, program=PROGRAM)
 
     return write
 
 
 @pytest.fixture
-def cutter_of(job_file):
-    return lambda **keys: load_job(job_file(**keys)).cutter
-
-
-@pytest.fixture
-def problems_of(job_file):
-    def problems(**keys):
-        with pytest.raises(JobError) as error:
-            load_job(job_file(**keys))
-        return error.value.problems
-
-    return problems
+def cutter_of(write):
+    return lambda **keys: load_job(write(**keys)).cutter
 
 
 def test_kinds(cutter_of):
@@ -98,13 +83,14 @@ def test_rounded_angles_between_teeth_are_even(cutter_of):
         ({"pitch": ["120 deg", 2, "120 deg"]}, ("pitch", "2", "an angle")),
     ],
 )
-def test_one_clear_line_for_a_fault(problems_of, keys, expected):
-    (problem,) = problems_of(**keys)
+def test_one_clear_line_for_a_fault(write, keys, expected):
+    (problem,) = problems_of(write(**keys))
     assert problem.startswith(f"[cutter] {expected[0]}")
     for part in expected[1:]:
         assert part in problem
 
 
-def test_a_fault_elsewhere_does_not_bring_a_second_line(problems_of):
-    assert len(problems_of(diameter="-1 mm", kind="bull", corner_radius="1 mm")) == 1
-    assert len(problems_of(teeth=0, pitch=["180 deg", "180 deg"])) == 1
+def test_a_fault_elsewhere_does_not_bring_a_second_line(write):
+    bull = write(diameter="-1 mm", kind="bull", corner_radius="1 mm")
+    assert len(problems_of(bull)) == 1
+    assert len(problems_of(write(teeth=0, pitch=["180 deg", "180 deg"]))) == 1

@@ -8,32 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from diffmill import JobError, load_job, robot as rb
+from diffmill import load_job, robot as rb
 from diffmill.examples import copy_example
 from diffmill.sim import JobKinematics
+from small_job import SLOT, SLOT_STOCK, problems_of, write_job
 
-PROGRAM = "G21 G17 G90 G94\nG0 X-6 Y5 Z1\nG0 Z-1\nG1 X20 F3000\nG0 Z1\nM2\n"
-JOB = """
-[cutter]
-kind = "flat"
-diameter = "10 mm"
-teeth = 2
-flute_length = "22 mm"
-[spindle]
-speed = "8000 rpm"
-[force]
-K_tc = "989.8 N/mm^2"
-K_rc = "337.3 N/mm^2"
-K_ac = "66.9 N/mm^2"
-[stock]
-lower = ["0 mm", "0 mm", "-3 mm"]
-upper = ["20 mm", "10 mm", "0 mm"]
-spacing = "0.25 mm"
-[program]
-file = "part.ngc"
-[robot]
-"""
-ARM = 'model = "reis_rv130_like"\n'
 # Three slides along the axes of the base, and a tool that they cannot turn.
 SLIDES = "".join(
     f"""
@@ -68,19 +47,14 @@ def place(x, y, z, yaw=0):
 def write(tmp_path):
     """Write a job with a robot table beside its program; return its path."""
 
-    def write(robot, program=PROGRAM):
-        (tmp_path / "job.toml").write_text(JOB + robot)
-        (tmp_path / "part.ngc").write_text(program)
+    def write(robot, program=SLOT):
         (tmp_path / "slides.toml").write_text(f'name = "slides"\n{SLIDES}')
-        return tmp_path / "job.toml"
+        tables = SLOT_STOCK | {"cutter.flute_length": "22 mm", "robot": {}}
+        file = write_job(tmp_path, tables, program=program)
+        file.write_text(file.read_text() + robot)
+        return file
 
     return write
-
-
-def problems_of(file):
-    with pytest.raises(JobError) as error:
-        load_job(file)
-    return error.value.problems
 
 
 SLIDING = 'file = "slides.toml"\n'
@@ -117,7 +91,8 @@ def test_a_nearly_singular_pose_is_a_note(write):
     # A tool that leaves the flange sideways stands upright when the wrist is straight.
     tool = 'tool_in_flange = { position = ["0 mm", "0 mm", "200 mm"], '
     tool += 'rpy = ["0 deg", "90 deg", "0 deg"] }\n'
-    job = load_job(write(ARM + place(1950, 0, 1880, yaw=180) + tool))
+    arm = 'model = "reis_rv130_like"\n'
+    job = load_job(write(arm + place(1950, 0, 1880, yaw=180) + tool))
     (note,) = [note for note in job.notes if "singular" in note]
     for part in ("time ", "position (", "(axis_4, axis_6)", "singular value", "rows"):
         assert part in note

@@ -4,33 +4,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from diffmill import JobError, load_job, workpiece as wp
+from diffmill import load_job, workpiece as wp
+from small_job import SLOT, SLOT_STOCK, TABLES, job_text, problems_of, write_job
 
-PROGRAM = """G21 G17 G90 G94
-G0 X-6 Y5 Z1
-G0 Z-1
-G1 X20 F3000
-G0 Z1
-M2
-"""
-JOB = """
-[cutter]
-diameter = "10 mm"
-teeth = 2
-[spindle]
-speed = "8000 rpm"
-[force]
-K_tc = "989.8 N/mm^2"
-K_rc = "337.3 N/mm^2"
-K_ac = "66.9 N/mm^2"
-[program]
-file = "part.ngc"
-[robot]
-rigid = true
-[stock]
-"""
-BOX = 'lower = ["0 mm", "0 mm", "-3 mm"]\nupper = ["20 mm", "10 mm", "0 mm"]\n'
-SPACING = 'spacing = "0.25 mm"\n'
+SPACING = {"spacing": "0.25 mm"}
+BOX = {"lower": TABLES["stock"]["lower"], "upper": SLOT_STOCK["stock.upper"]}
 
 
 @pytest.fixture
@@ -38,25 +16,15 @@ def write(tmp_path):
     """Write a job with a table of stock, in a folder of its own; return its path."""
     folder = tmp_path / "job"
     folder.mkdir()
-    (folder / "part.ngc").write_text(PROGRAM)
-
-    def write(stock):
-        (folder / "job.toml").write_text(JOB + stock)
-        return folder / "job.toml"
-
-    return write
+    return lambda *tables, **keys: write_job(
+        folder, {"stock": {k: v for x in (*tables, keys) for k, v in x.items()}}
+    )
 
 
 def save_block(path, scale=1.0, upper=(20, 10, 0)):
     block = trimesh.creation.box(bounds=[[0, 0, -3], upper])
     block.apply_scale(scale)
     path.write_bytes(block.export(file_type="stl"))
-
-
-def problems(file):
-    with pytest.raises(JobError) as caught:
-        load_job(file)
-    return caught.value.problems
 
 
 def assert_same_stock(stock, wanted):
@@ -67,13 +35,13 @@ def assert_same_stock(stock, wanted):
 
 
 @pytest.mark.parametrize(
-    ("line", "scale"),
-    [("", 1.0), ('mesh_unit = "mm"\n', 1.0), ('mesh_unit = "m"\n', 1e-3)],
+    ("unit", "scale"),
+    [({}, 1.0), ({"mesh_unit": "mm"}, 1.0), ({"mesh_unit": "m"}, 1e-3)],
 )
-def test_a_block_from_a_mesh_is_the_same_job(write, line, scale):
-    wanted = load_job(write(BOX + SPACING))
-    save_block(write("").parent / "stock.stl", scale)
-    job = load_job(write('mesh = "stock.stl"\n' + line + SPACING))
+def test_a_block_from_a_mesh_is_the_same_job(write, unit, scale):
+    wanted = load_job(write(BOX, SPACING))
+    save_block(write().parent / "stock.stl", scale)
+    job = load_job(write(SPACING, unit, mesh="stock.stl"))
     tolerance = 1e-8 if scale != 1 else 1e-12
     np.testing.assert_allclose(
         job.stock.families[2].ends, wanted.stock.families[2].ends, atol=tolerance
@@ -87,20 +55,19 @@ def test_a_block_from_a_mesh_is_the_same_job(write, line, scale):
 
 
 def test_faults_of_a_mesh_are_listed_with_the_others(write):
-    file = write('mesh = "no.stl"\nspacing = "0.25 mm"\n').with_name("open.stl")
+    file = write(SPACING, mesh="no.stl")
     assert "[stock] mesh: found 'no.stl', but there is no such file" in " ".join(
-        problems(file.with_name("job.toml"))
+        problems_of(file)
     )
     mesh = trimesh.creation.box([1, 1, 1])
     mesh.update_faces(np.arange(12) > 0)
-    file.write_bytes(mesh.export(file_type="stl"))
-    (line,) = problems(write('mesh = "open.stl"\n' + SPACING))
+    file.with_name("open.stl").write_bytes(mesh.export(file_type="stl"))
+    (line,) = problems_of(write(SPACING, mesh="open.stl"))
     assert line.startswith("[stock] mesh: ")
     assert "open.stl: found 3 open edges" in line
-    save_block(file)
-    text = JOB.replace("teeth = 2", "teeth = 0") + 'mesh = "../out.stl"\n' + SPACING
-    file.with_name("job.toml").write_text(text)
-    lines = " ".join(problems(file.with_name("job.toml")))
+    stock = SPACING | {"mesh": "../out.stl"}
+    file.write_text(job_text({"cutter.teeth": 0, "stock": stock}))
+    lines = " ".join(problems_of(file))
     assert "teeth" in lines
     assert "leads outside the job's folder" in lines
 
@@ -108,26 +75,25 @@ def test_faults_of_a_mesh_are_listed_with_the_others(write):
 @pytest.mark.parametrize(
     ("stock", "message"),
     [
-        (BOX + 'mesh = "a.stl"\n' + SPACING, "found lower and upper, mesh; only one"),
-        ('mesh = "a.stl"\nresult = "b"\n' + SPACING, "found mesh, result; only one"),
+        (BOX | SPACING | {"mesh": "a.stl"}, "found lower and upper, mesh; only one"),
+        (SPACING | {"mesh": "a.stl", "result": "b"}, "found mesh, result; only one"),
         (SPACING, "lower: found nothing, but it is required: three lengths"),
         (
-            'lower = ["0 mm", "-1e6 mm", "0 mm"]\n'
-            'upper = ["9 mm", "9 mm", "9 mm"]\n' + SPACING,
+            SPACING | {"lower": ["0 mm", "-1e6 mm", "0 mm"], "upper": 3 * ["9 mm"]},
             "lower: found 0, -1000, 0 m; at most 100 m is allowed",
         ),
-        ('lower = ["0 mm", "0 mm", "0 mm"]\n' + SPACING, "upper: found nothing"),
+        (SPACING | {"lower": 3 * ["0 mm"]}, "upper: found nothing"),
         (BOX, "spacing: found nothing, but it is required"),
-        ('mesh = "part.ngc"\n', "spacing: found nothing"),
-        ('mesh = "part.ngc"\n' + SPACING, r"found the suffix '.ngc'; allowed"),
-        (BOX + 'mesh_unit = "mm"\n' + SPACING, "mesh_unit: found it without mesh"),
-        ('mesh = "a.stl"\nmesh_unit = "ft"\n' + SPACING, "mesh_unit: found 'ft'"),
-        ('result = "nowhere"\n', r"found 'nowhere/stock.npz', but there is no such"),
-        ('result = "../.."\n', "leads outside the job's folder"),
+        ({"mesh": "part.ngc"}, "spacing: found nothing"),
+        (SPACING | {"mesh": "part.ngc"}, "found the suffix '.ngc'; allowed"),
+        (BOX | SPACING | {"mesh_unit": "mm"}, "mesh_unit: found it without mesh"),
+        (SPACING | {"mesh": "a.stl", "mesh_unit": "ft"}, "mesh_unit: found 'ft'"),
+        ({"result": "nowhere"}, "found 'nowhere/stock.npz', but there is no such"),
+        ({"result": "../.."}, "leads outside the job's folder"),
     ],
 )
 def test_contradictions_and_gaps_are_named(write, stock, message):
-    assert message in " ".join(problems(write(stock)))
+    assert message in " ".join(problems_of(write(stock)))
 
 
 def earlier(job_file, name="first"):
@@ -152,10 +118,10 @@ def earlier(job_file, name="first"):
     return stock
 
 
-@pytest.mark.parametrize("line", ["", SPACING])
-def test_a_job_starts_from_what_an_earlier_one_left(write, line):
-    wanted = earlier(write(""))
-    job = load_job(write('result = "first"\n' + line))
+@pytest.mark.parametrize("spacing", [{}, SPACING])
+def test_a_job_starts_from_what_an_earlier_one_left(write, spacing):
+    wanted = earlier(write())
+    job = load_job(write(spacing, result="first"))
     assert job.stock.top == pytest.approx(-1e-3)
     assert all((rays.poses == -1).all() for rays in job.stock.families)
     np.testing.assert_array_equal(job.stock.families[2].ends, wanted.families[2].ends)
@@ -165,16 +131,16 @@ def test_a_job_starts_from_what_an_earlier_one_left(write, line):
 
 
 def test_spacing_and_slots_of_a_result(write):
-    earlier(write(""))
-    (line,) = problems(write('result = "first"\nspacing = "0.3 mm"\n'))
+    earlier(write())
+    (line,) = problems_of(write(result="first", spacing="0.3 mm"))
     assert "found 0.3 mm, but the rays of the result are 0.25 mm apart" in line
-    job = load_job(write('result = "first"\nintervals = [3, 2, 2]\n'))
+    job = load_job(write(result="first", intervals=[3, 2, 2]))
     assert [r.ends.shape[-1] for r in job.stock.families] == [3, 2, 2]
     np.testing.assert_allclose(job.stock.volume(), 400e-9, rtol=1e-9)
 
 
 def test_too_few_slots_are_refused(write):
-    file = write("")
+    file = write()
     two = trimesh.util.concatenate(
         [
             trimesh.creation.box(bounds=[[0, 0, -9], [20, 10, -6]]),
@@ -182,29 +148,27 @@ def test_too_few_slots_are_refused(write):
         ]
     )
     two.export(file.with_name("two.stl"))
-    text = f'mesh = "two.stl"\nintervals = [8, 8, 1]\n{SPACING}'
-    (line,) = problems(write(text))
+    (line,) = problems_of(write(SPACING, mesh="two.stl", intervals=[8, 8, 1]))
     assert line.startswith("[stock] intervals") and "up to (1, 1, 2) intervals" in line
-    stock = load_job(write(f'mesh = "two.stl"\n{SPACING}')).stock
+    stock = load_job(write(SPACING, mesh="two.stl")).stock
     file.with_name("first").mkdir()
     wp.save(stock, file.with_name("first") / "stock.npz")
-    text = 'result = "first"\nintervals = [8, 8, 1]\n'
-    (line,) = problems(write(text))
+    (line,) = problems_of(write(result="first", intervals=[8, 8, 1]))
     assert line.startswith("[stock] intervals") and "up to (1, 1, 2) intervals" in line
 
 
 def test_a_damaged_result_is_one_problem(write):
-    file = write('result = "first"\n')
+    file = write(result="first")
     earlier(file)
     path = file.parent / "first" / "stock.npz"
     path.write_bytes(path.read_bytes()[:500])
-    (line,) = problems(file)
+    (line,) = problems_of(file)
     assert line.startswith("[stock] result: ")
     assert "no undamaged .npz file" in line
 
 
 def test_a_rapid_move_through_a_mesh_is_found(write):
-    file = write("")
+    file = write(SPACING, mesh="part.stl")
     # A wall across the way of the rapid, on a base below it.
     part = trimesh.boolean.union(
         [
@@ -214,19 +178,19 @@ def test_a_rapid_move_through_a_mesh_is_found(write):
         engine="manifold",
     )
     file.with_name("part.stl").write_bytes(part.export(file_type="stl"))
-    file.with_name("part.ngc").write_text(PROGRAM.replace("G1 X20 F3000", "G0 X25"))
-    (line,) = problems(write('mesh = "part.stl"\n' + SPACING))
+    file.with_name("part.ngc").write_text(SLOT.replace("G1 X20 F3000", "G0 X25"))
+    (line,) = problems_of(file)
     assert "line 4" in line
     assert "rapid move through the stock" in line
     # Beside the wall there is room.
-    text = PROGRAM.replace("G1 X20 F3000", "G0 X3").replace("G0 Z1\nM2", "M2")
+    text = SLOT.replace("G1 X20 F3000", "G0 X3").replace("G0 Z1\nM2", "M2")
     file.with_name("part.ngc").write_text(text)
-    assert load_job(write('mesh = "part.stl"\n' + SPACING)).stock.top == 0
+    assert load_job(file).stock.top == 0
 
 
 @pytest.mark.parametrize(("diameter", "count"), [("10 mm", 0), ("10 m", 1)])
 def test_a_cutter_larger_than_all_its_stock_is_told(write, diameter, count):
-    file = write(BOX + SPACING)
+    file = write(BOX, SPACING)
     file.write_text(file.read_text().replace("10 mm", diameter, 1))
     told = [note for note in load_job(file).notes if "10000 mm" in note]
     assert len(told) == count
