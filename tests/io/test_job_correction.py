@@ -6,12 +6,11 @@ import pytest
 
 from diffmill import (
     CorrectionSettings,
-    JobError,
     SimulationSettings,
     UncertaintySettings,
     load_job,
 )
-from small_job import PROGRAM, small_job
+from small_job import PROGRAM, problems_of, small_job
 
 LEANING = "time_s,x_mm,y_mm,z_mm,i,j,k\n0,-9,4,9,0,0.6,0.8\n0.1,-8,4,9,0,0.6,0.8\n"
 JOINT = 'command = "joint"'
@@ -40,13 +39,8 @@ def settings_of(job_file):
 
 
 @pytest.fixture
-def problems_of(job_file):
-    def problems(*lines, **more):
-        with pytest.raises(JobError) as error:
-            load_job(job_file(*lines, **more))
-        return error.value.problems
-
-    return problems
+def problems(job_file):
+    return lambda *lines, **more: problems_of(job_file(*lines, **more))
 
 
 def test_what_a_job_leaves_out_is_what_scripts_leave_out(job_file):
@@ -116,14 +110,14 @@ def test_defaults(settings_of):
     assert settings_of('method = "adam"', "max_steps = 7").max_steps == 7
 
 
-def test_a_section_without_moves_is_refused(problems_of):
+def test_a_section_without_moves_is_refused(problems):
     """The program begins at line 2, and goes from there in line 3."""
     weight = "weight = [{{ lines = [{}, {}], value = 0 }}]"
     for first, last in ((500, 600), (1, 2), (5, 2)):
-        (found,) = problems_of(weight.format(first, last))
+        (found,) = problems(weight.format(first, last))
         assert found.startswith("[correction] weight.lines: found")
         assert f"[{first}, {last}]" in found and found.endswith("of lines 3 to 3")
-    (found,) = problems_of(weight.format(4, 9), program="leaning.csv")
+    (found,) = problems(weight.format(4, 9), program="leaning.csv")
     assert found.endswith("of lines 2 to 3")
 
 
@@ -143,27 +137,27 @@ def test_a_section_without_moves_is_refused(problems_of):
         ("finishing_only = 1", ("finishing_only", "true or false")),
     ],
 )
-def test_faults_are_named(problems_of, line, words):
-    (problem,) = problems_of(line)
+def test_faults_are_named(problems, line, words):
+    (problem,) = problems(line)
     assert all(word in problem for word in words), problem
 
 
-def test_what_the_cutter_does_not_allow(problems_of):
+def test_what_the_cutter_does_not_allow(problems):
     keys = lambda lines: [line.split()[1] for line in lines]
     surface = 'objective = "surface"'
     weights = ("wall_weight = 0", "floor_weight = 0")
     backwards = "weight = [{ lines = [5, 2], value = 1 }]"
-    found = problems_of(surface, *weights, backwards, cutter=BALL)
+    found = problems(surface, *weights, backwards, cutter=BALL)
     assert keys(found) == ["objective:", "wall_weight:", "weight.lines:"]
-    limited = problems_of('max_velocity = "1 m/s"', 'method = "mirror"', JOINT)
+    limited = problems('max_velocity = "1 m/s"', 'method = "mirror"', JOINT)
     assert ["method" in line for line in limited] == [True, False]
     assert JOINT in limited[1]
     bounds = ('gouge = "20 um"', "stay_in_cut = true", "horizon = 900")
-    found = problems_of(*bounds, 'method = "adam"', cutter=BALL)
+    found = problems(*bounds, 'method = "adam"', cutter=BALL)
     assert keys(found) == ["horizon:", *2 * ["gouge:", "stay_in_cut:"]]
     assert 'method = "adam"' in found[-1]
     static = ("horizon = 900", "[simulation]", 'mode = "quasistatic"')
-    (found,) = problems_of(*static)
+    (found,) = problems(*static)
     assert found.startswith("[correction] horizon: found 900 beside [simulation] mode")
-    (found,) = problems_of(surface, program="leaning.csv")
+    (found,) = problems(surface, program="leaning.csv")
     assert "flat cutter" in found

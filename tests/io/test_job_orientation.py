@@ -6,20 +6,21 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from diffmill import JobError, load_job
+from diffmill import load_job
 from diffmill.cli import main
 from diffmill.robot import forward_kinematics
 from diffmill.sim import JobKinematics
+from small_job import job_text, problems_of
 
-JOB = """
-cutter = { kind = "flat", diameter = "10 mm", teeth = 2 }
-spindle = { speed = "8000 rpm" }
-force = { K_tc = "900 N/mm^2", K_rc = "300 N/mm^2", K_ac = "60 N/mm^2" }
-[stock]
-lower = ["0 mm", "-20 mm", "-8 mm"]
-upper = ["5 mm", "20 mm", "0 mm"]
-spacing = "0.25 mm"
-"""
+JOB = job_text(
+    {
+        "stock.lower": ["0 mm", "-20 mm", "-8 mm"],
+        "stock.upper": ["5 mm", "20 mm", "0 mm"],
+        "stock.spacing": "0.25 mm",
+        "program": None,
+        "robot": None,
+    }
+)
 ARM = 'model = "kuka_kr210_like"'
 WORK = 'work_in_base = { position = ["1800 mm", "0 mm", "900 mm"] }'
 BASE = "$BASE={X 1800,Y 0,Z 900,A 90,B 0,C 0}"
@@ -41,12 +42,6 @@ def write(tmp_path):
         return tmp_path / "job.toml"
 
     return write
-
-
-def problems_of(file):
-    with pytest.raises(JobError) as error:
-        load_job(file)
-    return error.value.problems
 
 
 def joints_of(job):
