@@ -225,6 +225,12 @@ CALLS: dict[str, Callable[[], Call]] = {
     "numerics.materialise": lambda: Call(
         lambda _, x: nm.materialise(x), None, (rows(5),)
     ),
+    "numerics.as_scalar_code": lambda: Call(
+        lambda a, x: nm.as_scalar_code(lambda a, x: jnp.sin(a * x))(a, x),
+        jnp.asarray(0.5),
+        (rows(4),),
+        has_slopes=False,
+    ),
     "numerics.small_inverse": lambda: Call(
         lambda _, A: nm.small_inverse(A @ A.T + jnp.eye(3)), None, (rows(3, 3),)
     ),

@@ -20,6 +20,7 @@ GROUPS = (
     "process",
     "expected",
     "device",
+    "machine_code",
 )
 
 

@@ -16,11 +16,12 @@ already give, and filters within a traced function.
 """
 
 from ._clamp import clamp as clamp
-from ._compiled_once import CachedJit as CachedJit
-from ._few import ShortAxis as ShortAxis
 from ._filters import lowpass as lowpass
 from ._hat import hat_integral as hat_integral, ramp as ramp
-from ._hold import materialise as materialise
 from ._inverse import small_inverse as small_inverse
-from ._recomputed import Rematerialised as Rematerialised
-from ._with_derivative import with_derivative_of as with_derivative_of
+from ._xla.cached_jit import CachedJit as CachedJit
+from ._xla.materialise import materialise as materialise
+from ._xla.rematerialise import Rematerialised as Rematerialised
+from ._xla.scalar_code import as_scalar_code as as_scalar_code
+from ._xla.short_axis import ShortAxis as ShortAxis
+from ._xla.with_derivative import with_derivative_of as with_derivative_of

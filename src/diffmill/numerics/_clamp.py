@@ -1,4 +1,4 @@
-"""Clamping whose derivative is cheap."""
+"""A clamp whose derivative is cheap."""
 
 import jax
 import jax.numpy as jnp
@@ -12,7 +12,7 @@ def clamp(
     x: Float[Array, "..."],
     upper: RealScalarLike | Float[Array, "..."],
 ) -> Float[Array, "..."]:
-    """Return `x` held between two bounds, in the type of `x`.
+    """`x`, or the bound that it has passed, in the type of `x`.
 
     `jnp.clip` divides its derivative by the number of ties, in a reduction that XLA
     runs slowly; `jax.lax.clamp` does not, but wants bounds of the type of `x`.

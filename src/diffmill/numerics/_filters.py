@@ -13,7 +13,7 @@ def lowpass(
     *,
     order: int = 4,
 ) -> Float[np.ndarray, "sample axis"]:
-    """Return `signal` after a Butterworth low-pass run forward and backward.
+    """Signal after a Butterworth low-pass filter, run forward and backward.
 
     The two passes cancel each other's phase: nothing is delayed. The gain is the
     square of one pass,

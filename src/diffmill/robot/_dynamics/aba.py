@@ -12,24 +12,23 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._model.robot import Robot
-from .link_frames import LinkFrame, base_acceleration, link_frames, tool_origin
-from .scalar_code import (
+from ...numerics import as_scalar_code, materialise
+from .._algebra.scalars import (
     Matrix,
     Vector,
     add,
     add_matrices,
     apply,
-    as_scalar_code,
     cross,
     dot,
-    materialise,
     numbers,
     product,
     scale,
     symmetric,
     transpose,
 )
+from .._model.robot import Robot
+from .link_frames import LinkFrame, base_acceleration, link_frames, tool_origin
 
 
 class _Inertia(NamedTuple):

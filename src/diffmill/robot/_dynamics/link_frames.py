@@ -5,17 +5,17 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._model.robot import Robot
-from .scalar_code import (
+from ...numerics import materialise
+from .._algebra.scalars import (
     Matrix,
     Vector,
     add,
     dot,
-    materialise,
     numbers,
     scale,
     transpose,
 )
+from .._model.robot import Robot
 
 
 class LinkFrame(NamedTuple):

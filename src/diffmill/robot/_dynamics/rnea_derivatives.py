@@ -22,28 +22,27 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._kinematics.forward import jacobian
-from .._model.mimic import fold, unfold_positions, unfold_rates
-from .._model.robot import Robot
-from .crba import mass_matrix
-from .link_frames import base_acceleration, link_frames, tool_origin
-from .rnea import inverse_dynamics
-from .scalar_code import (
+from ...numerics import as_scalar_code, materialise
+from .._algebra.scalars import (
     Matrix,
     Vector,
     add,
     add_matrices,
     apply,
-    as_scalar_code,
     cross,
     dot,
-    materialise,
     numbers,
     product,
     scale,
     symmetric,
     transpose,
 )
+from .._kinematics.forward import jacobian
+from .._model.mimic import fold, unfold_positions, unfold_rates
+from .._model.robot import Robot
+from .crba import mass_matrix
+from .link_frames import base_acceleration, link_frames, tool_origin
+from .rnea import inverse_dynamics
 
 
 class RneaDerivatives(eqx.Module):

@@ -1,4 +1,4 @@
-"""What reverse mode computes again, and what it keeps for that."""
+"""Functions that reverse mode computes again, from the reads that it stored."""
 
 from collections.abc import Callable
 from typing import ClassVar, ParamSpec, TypeVar
@@ -13,20 +13,20 @@ _T = TypeVar("_T", bound=PyTree)
 
 
 class Rematerialised:
-    """Functions that reverse mode computes again, and what it stores of them.
+    """Functions that reverse mode computes again, and their reads, which it stores.
 
-    What a function reads of a large table is small beside the table and beside what
-    follows from it, so that only the reads are stored.
+    The reads of a large table are small beside the table and beside all that a
+    function computes from them.
 
     Attributes:
-        READ: Name under which JAX knows them.
+        READ: JAX's name of the reads.
     """
 
     READ: ClassVar[str] = "read"
 
     @classmethod
     def of(cls, function: Callable[P, R]) -> Callable[P, R]:
-        """Return a function of which reverse mode stores what was `read`, and no more.
+        """Function of which reverse mode stores the arrays that it `read`, no others.
 
         Args:
             function: The function.
@@ -36,9 +36,9 @@ class Rematerialised:
 
     @classmethod
     def read(cls, values: _T) -> _T:
-        """Return arrays, a tree, marked as read of a table.
+        """Arrays, marked as read of a table.
 
         Args:
-            values: The arrays.
+            values: A tree of arrays.
         """
         return jax.tree.map(lambda x: checkpoint_name(x, cls.READ), values)

@@ -1,9 +1,9 @@
-"""A sum of a few terms, and a few copies: each is the other's transpose.
+"""Sums over a short axis, and copies along one: each is the other's transpose.
 
 XLA's CPU compiler reduces a short axis by a loop of single numbers; in reverse mode a
 broadcast is such a reduction, too. Written term by term, a sum becomes part of the
 loops around it, over long axes; but JAX transposes a term into an array of zeros around
-it. So both are operations of their own.
+it. So both are primitives.
 """
 
 from collections.abc import Sequence
@@ -18,11 +18,11 @@ _copies = Primitive("few_copies")
 
 
 class ShortAxis:
-    """Sums and copies of a few arrays."""
+    """Sums over a short axis, and copies along one."""
 
     @staticmethod
     def sum(terms: Float[Array, " term *any"]) -> Float[Array, "*any"]:
-        """Return the sum over a short leading axis.
+        """Sum over a short leading axis.
 
         **Differentiability**: linear.
         """
@@ -30,7 +30,7 @@ class ShortAxis:
 
     @staticmethod
     def copies(values: Float[Array, "*any"], count: int) -> Float[Array, " copy *any"]:
-        """Return copies of values along a new leading axis.
+        """Copies of values along a new leading axis.
 
         **Differentiability**: linear.
         """
@@ -38,8 +38,8 @@ class ShortAxis:
 
 
 def _add(terms: Array) -> Array:
-    first, *rest = jnp.unstack(terms)
-    return sum(rest, first)
+    first, *others = jnp.unstack(terms)
+    return sum(others, first)
 
 
 def _copy(values: Array, count: int) -> Array:

@@ -11,22 +11,22 @@ from jax.interpreters import ad, batching, mlir, partial_eval
 
 _T = TypeVar("_T")
 
-# Of their own: JAX looks through a call that returns its arguments, where reverse mode
-# parts what is known from what is not.
+# Primitives, since JAX looks through a call that returns its arguments where reverse
+# mode separates known from unknown values.
 _hold, _hold_backward = Primitive("hold"), Primitive("hold_backward")
 _hold.multiple_results = _hold_backward.multiple_results = True
 
 
 def materialise(values: _T, *, backward_only: bool = False) -> _T:
-    """Return the values, which their users are to load and not to compute again.
+    """The values themselves, stored: their users load them, not compute them again.
 
-    XLA's CPU compiler fuses what is computed into each of its users. A call that is not
-    inlined stops it, by an attribute of that call alone; elsewhere a barrier does. It
-    is a hint: without it the results are the same.
+    XLA's CPU compiler fuses a computation into each of its users. A call that is not
+    inlined stops it, by an attribute of that call alone; on other devices a barrier
+    does. It is a hint: without it the results are the same.
 
     Args:
         values: A tree of arrays.
-        backward_only: Hold what reverse mode adds up for the values, not the values.
+        backward_only: Store the cotangents of the values, not the values.
 
     **Differentiability**: linear, the identity.
     """
@@ -52,7 +52,7 @@ def _barrier(*values: Any) -> list[Any]:
 
 
 def _of_nonzero(primitive: Primitive, values: Any) -> list[Any]:
-    """Bind a primitive to what is not a symbolic zero."""
+    """Bind a primitive to the values that are no symbolic zeros."""
     is_zero = [isinstance(x, ad.Zero) for x in values]
     others = [x for x, no in zip(values, is_zero, strict=True) if not no]
     bound = iter(primitive.bind(*others))
@@ -60,7 +60,7 @@ def _of_nonzero(primitive: Primitive, values: Any) -> list[Any]:
 
 
 def _without_unused(used: Sequence[bool], equation: Any) -> tuple[list[bool], Any]:
-    """Return which operands are used, and an equation of these alone."""
+    """Used operands, and an equation of these alone, for JAX to drop others."""
     if not any(used):
         return list(used), None
     pick = lambda values: [

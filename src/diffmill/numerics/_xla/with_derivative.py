@@ -15,11 +15,12 @@ _T = TypeVar("_T", bound=PyTree)
 def with_derivative_of(
     values: _T, function: Callable[..., _T], *arguments: PyTree
 ) -> _T:
-    """Return `values`, with the derivative of what a function returns.
+    """Values of one source, with the derivative of a function of others.
 
     Args:
-        values: What is returned, a tree of arrays.
-        function: Returns a tree like `values`. It is not traced where nobody asks.
+        values: A tree of arrays.
+        function: Returns a tree like `values`. It is traced where a derivative is
+            asked for, and not otherwise.
         arguments: Its arguments, trees of arrays; what is differentiated must be among
             them, since what the function closes over counts as a constant.
 

@@ -1,8 +1,8 @@
-"""Trees of arrays as text: what tells two programs apart, and rebuilds a result.
+"""Trees of arrays as text, which tells two programs apart and rebuilds a result.
 
-A tree is told by its nodes, with all that is static in them, and by its leaves, of
-which an array counts by shape and type alone. Only what this package, equinox and
-Python define has a text: what somebody else defines may change while its name stays.
+The text holds the nodes of a tree, with all that is static in them, and its leaves, an
+array by its shape and type alone. Only objects that this package, equinox or Python
+define have a text: somebody else's may change while its name stays.
 """
 
 import importlib
@@ -21,18 +21,18 @@ _KNOWN = (_PACKAGE, "equinox", "builtins")
 
 
 class _Probe(eqx.Module):
-    """A module with nothing in it, for what stands for an absent wrapper field."""
+    """An empty module: it tells how equinox marks an absent field."""
 
 
 _, (_ABSENT,) = jax.tree.structure(_Probe()).node_data()  # pyright: ignore[reportGeneralTypeIssues]
 
 
 class HasNoText(TypeError):
-    """A tree holds what is not known by its name."""
+    """A tree holds an object that has no text."""
 
 
 def tree_text(tree: object) -> str:
-    """Return the text of a tree; trees of equal text compile to the same program.
+    """Text of a tree; trees of equal text compile to the same program.
 
     Args:
         tree: A tree of arrays and of constants.
@@ -40,12 +40,19 @@ def tree_text(tree: object) -> str:
     Raises:
         HasNoText: It holds a type or an object that is defined elsewhere.
     """
+
+    def leaf_data(leaf: Any) -> list[Any]:
+        if is_array(leaf):
+            dtype = jax.dtypes.canonicalize_dtype(leaf.dtype)
+            return ["array", list(leaf.shape), str(dtype)]
+        return _constant_data(leaf)
+
     leaves, structure = jax.tree.flatten(tree)
-    return json.dumps([_structure_data(structure), [_leaf_data(x) for x in leaves]])
+    return json.dumps([_structure_data(structure), [leaf_data(x) for x in leaves]])
 
 
 def tree_of_text(text: str, arrays: list[jax.Array]) -> PyTree:
-    """Return the tree of a text with these arrays as its arrays, in order.
+    """Tree of a text, with the given arrays as its arrays, in order.
 
     Args:
         text: As `tree_text` gives it.
@@ -58,23 +65,13 @@ def tree_of_text(text: str, arrays: list[jax.Array]) -> PyTree:
 
 
 def arrays_of(tree: object) -> list[jax.Array | np.ndarray | np.generic]:
-    """Return the arrays of a tree, in the order of its leaves."""
+    """Arrays of a tree, in the order of its leaves."""
     return [x for x in jax.tree.leaves(tree) if is_array(x)]
 
 
 def is_array(leaf: object) -> bool:
-    """Return whether a leaf is an argument of a program, not a part of it."""
+    """True if a leaf is an argument of a program, False if it is a constant of it."""
     return isinstance(leaf, jax.Array | np.ndarray | np.generic)
-
-
-def _leaf_data(leaf: Any) -> list[Any]:
-    if is_array(leaf):
-        return [
-            "array",
-            list(leaf.shape),
-            str(jax.dtypes.canonicalize_dtype(leaf.dtype)),
-        ]
-    return _constant_data(leaf)
 
 
 def _structure_data(structure: Any) -> list[Any] | None:
@@ -112,15 +109,17 @@ def _constant_data(value: Any) -> list[Any]:
 
 
 def _constant(data: list[Any]) -> Any:
-    kind, *rest = data
-    if kind == "absent":
-        return _ABSENT
-    if kind == "value":
-        return rest[1]
-    if kind == "name":
-        return _named(rest[0])
-    values = [_constant(x) for x in rest[0]]
-    return tuple(values) if kind == "tuple" else values
+    match data:
+        case ["absent"]:
+            return _ABSENT
+        case ["value", _, value]:
+            return value
+        case ["name", name]:
+            return _named(name)
+        case ["tuple", values]:
+            return tuple(_constant(x) for x in values)
+        case [_, values]:
+            return [_constant(x) for x in values]
 
 
 def _name(value: "type[Any] | types.FunctionType") -> str:
@@ -134,7 +133,7 @@ def _named(name: str) -> Any:
     module, _, path = name.partition(":")
     if module.partition(".")[0] not in _KNOWN:
         raise HasNoText(f"{name} is defined elsewhere")
-    found = importlib.import_module(module)
+    value = importlib.import_module(module)
     for part in path.split("."):
-        found = getattr(found, part, None)
-    return found
+        value = getattr(value, part, None)
+    return value

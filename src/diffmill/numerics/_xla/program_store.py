@@ -1,7 +1,7 @@
 """Traced programs on disk, beside JAX's cache of compiled ones.
 
-JAX keeps what XLA has compiled, but a new process traces the Python code again to find
-it. Here the traced program is kept too, under everything that it depends on.
+JAX stores what XLA has compiled, but a new process traces the Python code again to find
+it. Here the traced program is stored too, under a digest of all that it depends on.
 """
 
 import contextlib
@@ -18,36 +18,38 @@ from typing import NamedTuple
 import jax
 import jax.export
 
-from .._jax_config import PROGRAMS
+from ..._jax_config import PROGRAMS
 
-# Beyond so many, those that were not used for longest go.
+# Number of programs in the store; of more, the ones that were used longest ago go.
 _MOST_PROGRAMS = 400
-# When this process began, or a little later.
-_BEGAN = time.time()
-# What JAX is told that changes no program.
-_HARMLESS = ("compilation_cache", "persistent_cache", "log_", "explain_", "traceback")
+# Time at which this process began, or a little later [s].
+_PROCESS_START = time.time()
+# Parts of the names of JAX's settings that change no program.
+_IRRELEVANT_SETTINGS = (
+    *("compilation_cache", "persistent_cache", "log_", "explain_", "traceback"),
+)
 
 
 def is_store_enabled() -> bool:
-    """Return whether programs are kept: where JAX keeps compiled ones."""
+    """True where JAX, too, has a folder for what it compiles."""
     debugs = jax.config.jax_debug_nans or jax.config.jax_disable_jit  # pyright: ignore[reportAttributeAccessIssue]
     return _folder() is not None and not debugs and _sources() is not None
 
 
 def program_name(function: str, arguments: str) -> str:
-    """Return the name of a program: a digest of all that it depends on.
+    """Name of a program: a digest of all that it depends on.
 
     Args:
-        function: Where the function is defined.
+        function: Module and name of the function.
         arguments: The text of its arguments.
     """
     settings = {
         name: str(getattr(jax.config, name, value))
         for name, value in sorted(jax.config.values.items())
-        if not any(part in name for part in _HARMLESS)
+        if not any(part in name for part in _IRRELEVANT_SETTINGS)
     }
-    told = [function, arguments, _sources(), jax.default_backend(), settings]
-    return hashlib.sha256(json.dumps(told).encode()).hexdigest()
+    inputs = [function, arguments, _sources(), jax.default_backend(), settings]
+    return hashlib.sha256(json.dumps(inputs).encode()).hexdigest()
 
 
 class TracedProgram(NamedTuple):
@@ -58,9 +60,7 @@ class TracedProgram(NamedTuple):
 
 
 def read_program(name: str) -> TracedProgram | None:
-    """Return a program, or None where there is none.
-
-    A file that is damaged counts as none, and is written again.
+    """Program from the store, or None where there is none or its file is damaged.
 
     Args:
         name: As `program_name` gives it.
@@ -82,7 +82,7 @@ def read_program(name: str) -> TracedProgram | None:
 
 
 def write_program(name: str, program: TracedProgram) -> None:
-    """Keep a program; where nothing can be written, nothing is.
+    """Write a program to the store, if its folder can be written to.
 
     Args:
         name: As `program_name` gives it.
@@ -100,13 +100,9 @@ def write_program(name: str, program: TracedProgram) -> None:
         with os.fdopen(handle, "wb") as file:
             file.write(digest + b"\n" + body)
         pathlib.Path(part).replace(folder / name)
-        _forget_oldest(folder)
-
-
-def _forget_oldest(folder: pathlib.Path) -> None:
-    files = list(folder.iterdir())
-    for path in sorted(files, key=_last_use)[: max(0, len(files) - _MOST_PROGRAMS)]:
-        path.unlink(missing_ok=True)
+        files = sorted(folder.iterdir(), key=_last_use)
+        for path in files[: max(0, len(files) - _MOST_PROGRAMS)]:
+            path.unlink(missing_ok=True)
 
 
 def _last_use(path: pathlib.Path) -> float:
@@ -124,13 +120,13 @@ def _folder() -> pathlib.Path | None:
 
 @functools.cache
 def _sources() -> str | None:
-    """Return a digest of what is traced: this package and what it stands on.
+    """Digest of the traced code: this package and the libraries that it traces.
 
     None if a source has changed since this process began, which may trace the old one.
     """
-    digest, root = hashlib.sha256(), pathlib.Path(__file__).parents[1]
+    digest, root = hashlib.sha256(), pathlib.Path(__file__).parents[2]
     for path in sorted(root.rglob("*.py")):
-        if path.stat().st_mtime > _BEGAN:
+        if path.stat().st_mtime > _PROCESS_START:
             return None
         digest.update(str(path.relative_to(root)).encode() + b"\0" + path.read_bytes())
     for name in ("jax", "jaxlib", "equinox", "numpy"):

@@ -10,15 +10,15 @@ import equinox as eqx
 import jax
 import jax.export
 
-from .._arrays import is_traced
-from ._program_store import (
+from ..._arrays import is_traced
+from .program_store import (
     TracedProgram,
     is_store_enabled,
     program_name,
     read_program,
     write_program,
 )
-from ._tree_text import HasNoText, arrays_of, is_array, tree_of_text, tree_text
+from .tree_text import HasNoText, arrays_of, is_array, tree_of_text, tree_text
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -34,13 +34,13 @@ class _Task:
         self._ended = threading.Event()
 
     def take(self) -> bool:
-        """Return whether whoever asks is the first, and so has it to do."""
+        """True for the first caller, who then has to compile."""
         with self._lock:
             is_first, self._is_taken = not self._is_taken, True
         return is_first
 
-    def do(self) -> None:
-        """Compile."""
+    def run(self) -> None:
+        """Compile, and tell who waits."""
         try:
             self._compile_it()
         except Exception:
@@ -50,7 +50,7 @@ class _Task:
             self._ended.set()
 
     def wait(self) -> None:
-        """Return when what has begun has ended; what has not need not any more."""
+        """Wait for a compilation that has begun; cancel one that has not."""
         if not self.take():
             self._ended.wait()
 
@@ -64,16 +64,16 @@ class _Workers:
         self._count = 0
 
     def add(self, task: _Task) -> None:
-        """Begin a task as soon as a core is free; one is left to the caller."""
+        """Begin a task as soon as a core is free; one core stays with the caller."""
         with self._lock:
             self._tasks.append(task)
             if self._count >= max(1, (os.cpu_count() or 1) - 1):
                 return
             self._count += 1
         # A compilation cannot be interrupted, so that none keeps the program alive.
-        threading.Thread(target=self._work, daemon=True).start()
+        threading.Thread(target=self._compile_all, daemon=True).start()
 
-    def _work(self) -> None:
+    def _compile_all(self) -> None:
         while True:
             with self._lock:
                 if not self._tasks:
@@ -81,7 +81,7 @@ class _Workers:
                     return
                 task = self._tasks.popleft()
             if task.take():
-                task.do()
+                task.run()
 
 
 _WORKERS = _Workers()
@@ -101,7 +101,7 @@ class CachedJit(Generic[P, R]):
         self._plain = function
         self._function = eqx.filter_jit(function)
         self._tasks: list[_Task] = []
-        self._kept: dict[str, _StoredProgram | None] = {}
+        self._programs: dict[str, _StoredProgram | None] = {}
         self.__doc__ = function.__doc__
 
     def prepare(self, *args: P.args, **kwargs: P.kwargs) -> None:
@@ -134,41 +134,36 @@ class CachedJit(Generic[P, R]):
         run = program.compiled(self._plain.__name__)
         return program.result_of(run(*arrays_of((args, kwargs))))
 
-    @property
-    def _has_name(self) -> bool:
-        """Return whether the function is found by its name, in this package."""
-        is_ours = self._plain.__module__.partition(".")[0] == __name__.partition(".")[0]
-        return is_ours and "<" not in self._plain.__qualname__
-
     def _program(self, arguments: object) -> "_StoredProgram | None":
-        """Return the program for such arguments; None if none may be kept."""
-        if not (self._has_name and is_store_enabled()) or _is_elsewhere(arguments):
+        """Program for such arguments, from the store or traced; None without a store.
+
+        Only a function that this package knows by its name has a program in the store.
+        """
+        module, name = self._plain.__module__, self._plain.__qualname__
+        is_ours = module.partition(".")[0] == __name__.partition(".")[0]
+        if not (is_ours and "<" not in name and is_store_enabled()):
+            return None
+        if not _are_on_default_device(arguments):
             return None
         try:
-            text = tree_text(arguments)
+            key = program_name(f"{module}:{name}", tree_text(arguments))
         except HasNoText:
             return None
-        name = program_name(
-            f"{self._plain.__module__}:{self._plain.__qualname__}", text
-        )
-        if name not in self._kept:
-            self._kept[name] = self._stored_program(name, arguments)
-        return self._kept[name]
+        if key not in self._programs:
+            program = read_program(key)
+            if program is None:
+                program = self._traced(arguments)
+                if program is not None:
+                    write_program(key, program)
+            self._programs[key] = program and _StoredProgram(program)
+        return self._programs[key]
 
-    def _stored_program(self, name: str, arguments: object) -> "_StoredProgram | None":
-        found = read_program(name)
-        if found is None:
-            try:
-                found = self._exported(arguments)
-            except (HasNoText, NotImplementedError, ValueError):
-                # It holds what is not known by name, or calls what JAX does not export;
-                # what the function itself refuses, it refuses where it is called.
-                return None
-            write_program(name, found)
-        return _StoredProgram(found)
+    def _traced(self, arguments: object) -> TracedProgram | None:
+        """Traced program; None where it cannot be stored.
 
-    def _exported(self, arguments: object) -> TracedProgram:
-        """Trace the function."""
+        It then holds what is not known by its name, or calls what JAX does not export.
+        What the function itself refuses, it refuses where it is called.
+        """
         leaves, structure = jax.tree.flatten(arguments)
         results: list[str] = []
 
@@ -180,8 +175,15 @@ class CachedJit(Generic[P, R]):
             results.append(tree_text(result))
             return arrays_of(result)
 
-        shapes = [_shape(x) for x in leaves if is_array(x)]
-        exported = jax.export.export(jax.jit(of_arrays))(*shapes)
+        shapes = [
+            jax.ShapeDtypeStruct(x.shape, jax.dtypes.canonicalize_dtype(x.dtype))
+            for x in leaves
+            if is_array(x)
+        ]
+        try:
+            exported = jax.export.export(jax.jit(of_arrays))(*shapes)
+        except (HasNoText, NotImplementedError, ValueError):
+            return None
         return TracedProgram(exported, results[0])
 
 
@@ -194,7 +196,7 @@ class _StoredProgram:
         self._compiled: jax.stages.Compiled | None = None
 
     def compiled(self, name: str) -> jax.stages.Compiled:
-        """Return what XLA makes of it, for arrays that are committed or are not."""
+        """Compiled program, for arrays that are committed to a device or are not."""
         with self._lock:
             if self._compiled is None:
                 call = lambda *arrays: self._exported.call(*arrays)
@@ -205,20 +207,15 @@ class _StoredProgram:
             return self._compiled
 
     def result_of(self, arrays: list[jax.Array]) -> Any:
-        """Return the result that consists of these arrays."""
+        """Result of the function that consists of these arrays."""
         return tree_of_text(self._result, arrays)
 
 
-def _is_elsewhere(arguments: object) -> bool:
-    """Return whether an array is on another device than what is compiled runs on."""
+def _are_on_default_device(arguments: object) -> bool:
+    """True if all arrays are on the device for which a program is traced."""
     arrays = [x for x in jax.tree.leaves(arguments) if isinstance(x, jax.Array)]
     devices = {device for x in arrays for device in x.devices()}
-    usual = jax.config.jax_default_device or jax.devices()[0]  # pyright: ignore[reportAttributeAccessIssue]
+    default = jax.config.jax_default_device or jax.devices()[0]  # pyright: ignore[reportAttributeAccessIssue]
     # A program is traced for the platform of the backend.
-    is_usual = getattr(usual, "platform", usual) == jax.default_backend()
-    return not (is_usual and devices <= {usual})
-
-
-def _shape(array: Any) -> jax.ShapeDtypeStruct:
-    dtype = jax.dtypes.canonicalize_dtype(array.dtype)
-    return jax.ShapeDtypeStruct(array.shape, dtype)
+    is_of_backend = getattr(default, "platform", default) == jax.default_backend()
+    return is_of_backend and devices <= {default}

@@ -1,0 +1,1 @@
+"""Hints to XLA and JAX: they change times and memory, and no result."""
