@@ -90,7 +90,12 @@ def child(piece, task, **settings):
 
 def without_materialise(numerics):
     """Leave it to XLA whether it computes a value again for each of its users."""
-    numerics.materialise = lambda values, backward_only=False: as_arrays(values)
+    import jax
+    import jax.numpy as jnp
+
+    numerics.materialise = lambda values, backward_only=False: jax.tree.map(
+        jnp.asarray, values
+    )
 
 
 def without_short_axis(numerics):
@@ -150,12 +155,12 @@ PIECES = {
 }
 
 
-def as_arrays(values):
-    """Return a tree of arrays of JAX."""
-    import jax
+def as_array(leaf):
+    """Return a leaf of a job, as an array of JAX if it is one of NumPy."""
     import jax.numpy as jnp
+    import numpy as np
 
-    return jax.tree.map(jnp.asarray, values)
+    return jnp.asarray(leaf) if isinstance(leaf, np.ndarray) else leaf
 
 
 def run_command():
@@ -174,7 +179,7 @@ def time_job(rows, runs):
     import jax
     import jax.numpy as jnp
     import numpy as np
-    from equinox import tree_at
+    from equinox import combine, is_inexact_array, partition, tree_at
 
     import diffmill as dm
     from example import load_example
@@ -183,13 +188,17 @@ def time_job(rows, runs):
     path = jax.tree.map(lambda x: np.asarray(x)[FIRST : FIRST + rows], job.path)
     job = tree_at(lambda job: job.path, job, path)
 
-    def cost(positions):
-        moved = tree_at(lambda job: job.path.positions, job, positions)
+    # An argument: XLA would fold the arrays of a constant for minutes.
+    arrays, others = partition(jax.tree.map(as_array, job), is_inexact_array)
+
+    def cost(positions, arrays):
+        whole = combine(arrays, others)
+        moved = tree_at(lambda job: job.path.positions, whole, positions)
         return 1e6 * jnp.sum(dm.simulate(moved).deviation ** 2)
 
-    positions = jnp.asarray(job.path.positions)
-    found, value = timed("run", cost, (positions,), runs, rows)
-    slopes, gradient = timed("gradient", jax.grad(cost), (positions,), runs, rows)
+    arguments = (jnp.asarray(job.path.positions), arrays)
+    found, value = timed("run", cost, arguments, runs, rows)
+    slopes, gradient = timed("gradient", jax.grad(cost), arguments, runs, rows)
     size = jnp.linalg.norm(gradient)
     return {**found, **slopes, "results": [float(value), float(size)]}
 

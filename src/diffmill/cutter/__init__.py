@@ -12,12 +12,14 @@ A `ToolHolder` is a stack of cylinders and cones, which is only looked for in st
 Leaves out tapered and barrel tools.
 """
 
-from ._abstract import AbstractCutter as AbstractCutter
+from ._abstract import (
+    AbstractCutter as AbstractCutter,
+    EdgeElements as EdgeElements,
+)
 from ._build import (
     ball_end_mill as ball_end_mill,
     bull_nose as bull_nose,
     flat_end_mill as flat_end_mill,
 )
-from ._elements import EdgeElements as EdgeElements
 from ._end_mill import EndMill as EndMill
 from ._holder import ToolHolder as ToolHolder

@@ -1,4 +1,4 @@
-"""Interface of a cutter."""
+"""Interface of a cutter, and the elements of its cutting edge."""
 
 import abc
 import math
@@ -12,8 +12,35 @@ from jaxtyping import Array, Float
 
 from .._arrays import is_traced
 from .._types import RealScalarLike
-from ._elements import EdgeElements
 from ._rays import Chord
+
+
+class EdgeElements(eqx.Module):
+    """Edge elements from the center of the end to the shank, by their middles.
+
+    The outward normal of an element is sin kappa e - cos kappa a, e the radial
+    direction at its immersion angle and a the axis.
+
+    Attributes:
+        height: Above the tip [m], shape (element,).
+        radius: From the axis [m], shape (element,).
+        sin_kappa: Shape (element,).
+        cos_kappa: Shape (element,).
+        width: Length along the profile [m], shape (element,).
+        lag: Angle by which the helix holds the element back [rad], shape (element,).
+        sagitta: Distance of an element's mean inward of its middle [m], shape
+            (element,).
+        bottom_count: Number of elements on the flat end, which come first.
+    """
+
+    height: Float[Array, " element"]
+    radius: Float[Array, " element"]
+    sin_kappa: Float[Array, " element"]
+    cos_kappa: Float[Array, " element"]
+    width: Float[Array, " element"]
+    lag: Float[Array, " element"]
+    sagitta: Float[Array, " element"]
+    bottom_count: int = eqx.field(static=True)
 
 
 class AbstractCutter(eqx.Module):
@@ -40,7 +67,7 @@ class AbstractCutter(eqx.Module):
 
     @abc.abstractmethod
     def with_sizes_as_leaves(self) -> "AbstractCutter":
-        """Return the cutter with its nominal sizes as leaves.
+        """Cutter with its nominal sizes as leaves.
 
         They are part of a tree's structure otherwise, since they size arrays. A program
         that has been given its sizes then does not depend on their values.
@@ -49,13 +76,13 @@ class AbstractCutter(eqx.Module):
     def delays(
         self, dtype: DTypeLike
     ) -> Float[Array, "before tooth"] | Float[np.ndarray, "before tooth"]:
-        """Return how long ago the k-th tooth before each tooth passed [tooth periods].
+        """Delay of each tooth behind the k-th tooth before it [tooth periods].
 
-        A tooth passes an angle when it has turned by what it stands behind the other.
+        A tooth passes an angle when it has turned by the angle between the two teeth.
 
         Differentiability: in the pitch.
         """
-        # Of known teeth on the host, which has the double precision of its analyses.
+        # Known teeth on the host, in the double precision of its analyses.
         xp = jnp if is_traced(self.pitch_angles) else np
         pitch, count = xp.asarray(self.pitch_angles, dtype), self.flute_count
         before = (np.arange(count) + np.arange(1, count)[:, None]) % count
@@ -66,7 +93,7 @@ class AbstractCutter(eqx.Module):
     @property
     @abc.abstractmethod
     def has_corner(self) -> bool:
-        """Whether the end is rounded."""
+        """True if the end is rounded."""
 
     @property
     @abc.abstractmethod
@@ -81,7 +108,7 @@ class AbstractCutter(eqx.Module):
         axis: Float[Array, "*#place 3"],
         offset: Float[Array, "*#place"] | None = None,
     ) -> Float[Array, "..."]:
-        """Return the signed distance to the swept solid, negative inside [m]."""
+        """Signed distance to the swept solid, negative inside [m]."""
 
     @abc.abstractmethod
     def normal(
@@ -90,7 +117,7 @@ class AbstractCutter(eqx.Module):
         tip: Float[Array, "*#place 3"],
         axis: Float[Array, "*#place 3"],
     ) -> Float[Array, "... 3"]:
-        """Return the outward unit gradient of the signed distance."""
+        """Outward normal: the unit gradient of the signed distance."""
 
     @abc.abstractmethod
     def intersect(
@@ -101,7 +128,7 @@ class AbstractCutter(eqx.Module):
         tip: Float[Array, "*#ray 3"],
         offset: Float[Array, "*#ray"] | None = None,
     ) -> Chord:
-        """Return where rays enter and leave the upright cutter, and whether they do."""
+        """Chords of rays in the upright cutter."""
 
     @abc.abstractmethod
     def intersect_pose(
@@ -113,7 +140,7 @@ class AbstractCutter(eqx.Module):
         axis: Float[Array, "*#ray 3"],
         offset: Float[Array, "*#ray"] | None = None,
     ) -> Chord:
-        """Return where rays enter and leave the cutter in a pose, and whether."""
+        """Chords of rays in the cutter in a pose."""
 
     @abc.abstractmethod
     def wall_slopes(
@@ -123,7 +150,7 @@ class AbstractCutter(eqx.Module):
         across: Float[Array, "..."],
         tip: Float[Array, "... 3"],
     ) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
-        """Return how a hit point moves with the tip across the ray and the radius."""
+        """Slopes of a hit point by the tip across the ray, and by the radius."""
 
     @abc.abstractmethod
     def elements(
@@ -135,22 +162,22 @@ class AbstractCutter(eqx.Module):
         dtype: DTypeLike,
         corner_limit: RealScalarLike = math.pi / 2,
     ) -> EdgeElements:
-        """Return the edge elements of one tooth, from the centre to the shank."""
+        """Edge elements of one tooth, from the centre to the shank."""
 
     @abc.abstractmethod
     def runout_offsets(
         self, lag: Float[Array, "*element"] | float = 0.0
     ) -> Float[Array, "tooth ..."]:
-        """Return how far the edge of each tooth stands out by the run-out [m]."""
+        """Radial offset of the edge of each tooth by the run-out [m]."""
 
     def edge_offsets(self, height: Float[Array, "*place"]) -> Float[Array, "tooth ..."]:
-        """Return how far teeth stand out by the run-out at heights on the edge [m].
+        """Radial offset of each tooth by the run-out at heights on the edge [m].
 
         Args:
             height: Above the tip along the axis [m], shape (*place,).
 
         Returns:
-            As `runout_offsets`, shape (tooth, *place), in the type of the heights.
+            `runout_offsets` at these heights, shape (tooth, *place), in their type.
         """
         if not self.has_helix:
             offsets = self.runout_offsets().astype(height.dtype)

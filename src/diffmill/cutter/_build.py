@@ -1,5 +1,6 @@
-"""Making end mills from what a user knows of them."""
+"""End mills from the sizes in a catalogue."""
 
+import dataclasses
 import math
 from collections.abc import Sequence
 
@@ -9,12 +10,12 @@ from jaxtyping import Array, Float
 
 from .._arrays import is_traced
 from .._types import RealScalarLike
-from ._end_mill import EndMill, Kind
+from ._end_mill import EndMill
 
-# How far the angles between the teeth may miss a whole turn [rad].
-_TURN = 1e-6
+# Largest difference of a whole turn and the sum of the angles between the teeth [rad].
+_TURN_TOLERANCE = 1e-6
 # Angles between the teeth that differ by less are even [rad].
-_EVEN = 1e-12
+_PITCH_ROUNDING = 1e-12
 
 _Angles = Float[Array, " tooth"] | Float[np.ndarray, " tooth"]
 Pitch = Sequence[float] | _Angles
@@ -32,7 +33,7 @@ def flat_end_mill(
     runout_angle: RealScalarLike = 0.0,
     dish_angle: RealScalarLike = 0.0,
 ) -> EndMill:
-    """Return a flat end mill.
+    """Flat end mill.
 
     Args:
         diameter: Diameter [m], shape ().
@@ -58,17 +59,36 @@ def flat_end_mill(
 
     Differentiability: smooth in all sizes, `pitch`, `runout` and `dish_angle`.
     """
-    return _end_mill(
-        "flat",
-        diameter,
-        teeth,
-        helix_angle,
-        flute_length=flute_length,
-        nominal_diameter=nominal_diameter,
-        pitch=pitch,
+    D = _nominal("diameter", diameter, nominal_diameter)
+    if teeth < 1:
+        raise ValueError(f"Argument `teeth` must be at least 1, but is {teeth}.")
+    even = 2 * math.pi / teeth
+    pitch_angles, has_even_pitch = even * np.arange(teeth), True
+    if pitch is not None:
+        steps = _checked_pitch(pitch, teeth)
+        pitch_angles = steps.cumsum() - steps
+        has_even_pitch = not is_traced(steps) and bool(
+            np.all(np.abs(steps - even) < _PITCH_ROUNDING)
+        )
+    has_runout = _may_differ_from_zero(runout)
+    return EndMill(
+        diameter=diameter,
+        own_corner_radius=None,
+        helix_angle=helix_angle,
+        pitch_angles=pitch_angles,
         runout=runout,
         runout_angle=runout_angle,
         dish_angle=dish_angle,
+        kind="flat",
+        flute_count=teeth,
+        flute_length=3 * D if flute_length is None else float(flute_length),
+        nominal_radius=D / 2,
+        nominal_corner_radius=0.0,
+        has_helix=_may_differ_from_zero(helix_angle),
+        has_dish=_may_differ_from_zero(dish_angle),
+        has_runout=has_runout,
+        has_even_pitch=has_even_pitch,
+        is_plain=has_even_pitch and not has_runout,
     )
 
 
@@ -83,7 +103,7 @@ def ball_end_mill(
     runout: RealScalarLike = 0.0,
     runout_angle: RealScalarLike = 0.0,
 ) -> EndMill:
-    """Return a ball end mill; its tip is the lowest point of the ball.
+    """Ball end mill; its tip is the lowest point of the ball.
 
     Args:
         diameter: Diameter of ball and shank [m], shape ().
@@ -103,8 +123,7 @@ def ball_end_mill(
 
     Differentiability: smooth in all sizes, `pitch` and `runout`.
     """
-    return _end_mill(
-        "ball",
+    mill = flat_end_mill(
         diameter,
         teeth,
         helix_angle,
@@ -113,6 +132,12 @@ def ball_end_mill(
         pitch=pitch,
         runout=runout,
         runout_angle=runout_angle,
+    )
+    return dataclasses.replace(
+        mill,
+        kind="ball",
+        nominal_corner_radius=mill.nominal_radius,
+        is_plain=False,
     )
 
 
@@ -129,7 +154,7 @@ def bull_nose(
     runout: RealScalarLike = 0.0,
     runout_angle: RealScalarLike = 0.0,
 ) -> EndMill:
-    """Return a bull-nose end mill: a flat end with a rounded corner.
+    """Bull-nose end mill: a flat end with a rounded corner.
 
     Args:
         diameter: Diameter [m], shape ().
@@ -152,76 +177,35 @@ def bull_nose(
 
     Differentiability: smooth in all sizes, `pitch` and `runout`.
     """
-    return _end_mill(
-        "bull",
+    mill = flat_end_mill(
         diameter,
         teeth,
         helix_angle,
-        corner_radius=corner_radius,
         flute_length=flute_length,
         nominal_diameter=nominal_diameter,
-        nominal_corner_radius=nominal_corner_radius,
         pitch=pitch,
         runout=runout,
         runout_angle=runout_angle,
     )
-
-
-def _end_mill(
-    kind: Kind,
-    diameter: RealScalarLike,
-    teeth: int,
-    helix_angle: RealScalarLike,
-    *,
-    corner_radius: RealScalarLike | None = None,
-    flute_length: float | None = None,
-    nominal_diameter: float | None = None,
-    nominal_corner_radius: float | None = None,
-    pitch: Pitch | None = None,
-    runout: RealScalarLike = 0.0,
-    runout_angle: RealScalarLike = 0.0,
-    dish_angle: RealScalarLike = 0.0,
-) -> EndMill:
-    """Return an end mill with its derived static sizes."""
-    D = _nominal("diameter", diameter, nominal_diameter)
-    nominal_corner = {"flat": 0.0, "ball": D / 2}.get(kind)
-    if corner_radius is not None:
-        nominal_corner = _nominal("corner_radius", corner_radius, nominal_corner_radius)
-    assert nominal_corner is not None
-    if teeth < 1:
-        raise ValueError(f"Argument `teeth` must be at least 1, but is {teeth}.")
-    steps = None if pitch is None else _pitch(pitch, teeth)
-    has_even_pitch = _is_even(steps, teeth)
-    has_runout = _is_set(runout)
-    return EndMill(
-        diameter=diameter,
+    return dataclasses.replace(
+        mill,
+        kind="bull",
         own_corner_radius=corner_radius,
-        helix_angle=helix_angle,
-        pitch_angles=_pitch_angles(steps, teeth),
-        runout=runout,
-        runout_angle=runout_angle,
-        dish_angle=dish_angle,
-        kind=kind,
-        flute_count=teeth,
-        flute_length=3 * D if flute_length is None else float(flute_length),
-        nominal_radius=D / 2,
-        nominal_corner_radius=nominal_corner,
-        has_helix=_is_set(helix_angle),
-        has_dish=_is_set(dish_angle),
-        has_runout=has_runout,
-        has_even_pitch=has_even_pitch,
-        is_plain=kind == "flat" and has_even_pitch and not has_runout,
+        nominal_corner_radius=_nominal(
+            "corner_radius", corner_radius, nominal_corner_radius
+        ),
+        is_plain=False,
     )
 
 
-def _is_set(value: RealScalarLike) -> bool:
-    """Return whether a size is not zero, or may not be."""
+def _may_differ_from_zero(size: RealScalarLike) -> bool:
+    """True if a size is not zero, or is traced."""
     # Within a trace, a comparison of an array that is known would be traced, too.
-    return is_traced(value) or float(value) != 0
+    return is_traced(size) or float(size) != 0
 
 
 def _nominal(name: str, value: RealScalarLike, nominal: float | None) -> float:
-    """Return the static size beside a differentiable one."""
+    """Static size beside one that may be traced [m]."""
     if nominal is None and is_traced(value):
         raise ValueError(
             f"Argument `nominal_{name}` must be given where `{name}` is traced."
@@ -229,34 +213,18 @@ def _nominal(name: str, value: RealScalarLike, nominal: float | None) -> float:
     return float(value if nominal is None else nominal)
 
 
-def _pitch_angles(steps: _Angles | None, count: int) -> _Angles:
-    """Return the angle of every tooth from tooth 0 [rad]."""
-    if steps is None:
-        return 2 * math.pi / count * np.arange(count)
-    return steps.cumsum() - steps
-
-
-def _is_even(steps: _Angles | None, count: int) -> bool:
-    """Return whether all teeth are known to stand equally far apart."""
-    if steps is None:
-        return True
-    if is_traced(steps):
-        return False
-    return bool(np.all(np.abs(steps - 2 * math.pi / count) < _EVEN))
-
-
-def _pitch(pitch: Pitch, count: int) -> _Angles:
-    """Return the angle from every tooth to the next [rad], checked."""
+def _checked_pitch(pitch: Pitch, count: int) -> _Angles:
+    """Angle from every tooth to the next [rad], shape (tooth,), checked."""
     if is_traced(pitch):
         parts = jnp.asarray(pitch)
         if parts.shape != (count,):
             raise ValueError(_wrong_pitch(count, f"has shape {parts.shape}"))
         return parts
-    given = np.asarray(pitch)
+    parts = np.asarray(pitch)
     # A JAX array keeps its type; anything else is a list of Python numbers.
-    dtype = given.dtype if np.issubdtype(given.dtype, np.floating) else float
-    parts = given.astype(dtype)
-    slack = max(_TURN, 10 * float(np.finfo(dtype).eps))
+    dtype = parts.dtype if np.issubdtype(parts.dtype, np.floating) else float
+    parts = parts.astype(dtype)
+    slack = max(_TURN_TOLERANCE, 10 * float(np.finfo(dtype).eps))
     if parts.shape != (count,):
         raise ValueError(_wrong_pitch(count, f"has shape {parts.shape}"))
     if not (np.isfinite(parts).all() and (parts > 0).all()):
@@ -266,8 +234,8 @@ def _pitch(pitch: Pitch, count: int) -> _Angles:
     return parts
 
 
-def _wrong_pitch(count: int, found: str) -> str:
+def _wrong_pitch(count: int, fault: str) -> str:
     return (
         f"Argument `pitch` must hold {count} positive angles, one per tooth, that sum "
-        f"to 2 pi, but {found}."
+        f"to 2 pi, but {fault}."
     )

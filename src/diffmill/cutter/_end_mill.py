@@ -15,19 +15,18 @@ from .._arrays import is_traced
 from .._types import RealScalarLike
 from ..numerics import with_derivative_of
 from . import _profile, _rays
-from ._abstract import AbstractCutter
-from ._elements import EdgeElements, EdgeProfile, ElementCounts, edge_elements
+from ._abstract import AbstractCutter, EdgeElements
 
 Kind: TypeAlias = Literal["flat", "ball", "bull"]
 
-# Half a chord shorter than this share of the radius is a ray that only touches the
-# cutter's side: it stands within 1 um of it for a cutter of 10 mm. Where the chords of
-# successive teeth do not overlap, every tooth would leave an island on such a ray.
-_GRAZE = 0.02
-# A ray less than this above the tip [m] only touches the bottom.
-_TOUCH = 1e-9
+# Half a chord over the radius, below which a ray only touches the cutter's side: it
+# stands within 1 um of it for a cutter of 10 mm. Where the chords of successive teeth
+# do not overlap, every tooth would leave an island on such a ray.
+_LEAST_HALF_CHORD = 0.02
+# Height above the tip below which a ray only touches the bottom [m].
+_LEAST_HEIGHT = 1e-9
 # Least slope of the signed distance along a ray that its derivatives are divided by.
-_FLAT = 1e-3
+_LEAST_SLOPE = 1e-3
 
 
 class EndMill(AbstractCutter):
@@ -131,13 +130,13 @@ class EndMill(AbstractCutter):
                 )
 
     def with_sizes_as_leaves(self) -> "EndMill":
-        """Return the cutter with its nominal sizes as leaves."""
+        """Cutter with its nominal sizes as leaves."""
         values = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
         return _SizedEndMill(**values)
 
     @property
     def has_corner(self) -> bool:
-        """Whether the end is rounded."""
+        """True if the end is rounded."""
         return self.kind != "flat"
 
     @property
@@ -150,7 +149,7 @@ class EndMill(AbstractCutter):
     def _sizes(
         self, dtype: DTypeLike, offset: Float[Array, "..."] | None = None
     ) -> _profile.Sizes:
-        """Return the sizes in the type of the points, where edges stand out by some."""
+        """Sizes in a floating type, with edges that stand out by an offset [m]."""
         radius = jnp.asarray(self.diameter, dtype) / 2
         radius = radius if offset is None else radius + offset
         return _profile.Sizes(radius, jnp.asarray(self.corner_radius, dtype))
@@ -162,7 +161,7 @@ class EndMill(AbstractCutter):
         axis: Float[Array, "*#place 3"],
         offset: Float[Array, "*#place"] | None = None,
     ) -> Float[Array, "..."]:
-        """Return the signed distance to the swept solid, negative inside.
+        """Signed distance to the swept solid, negative inside [m].
 
         With u = (p - tip) . a, rho = |p - tip - u a| and
         q = (rho - (R - r_c), r_c - u), it is |max(q, 0)| + min(max(q), 0) - r_c.
@@ -172,7 +171,7 @@ class EndMill(AbstractCutter):
             points: Points p [m], shape (..., 3).
             tip: Tool tip [m], shape (..., 3), broadcast against the points.
             axis: Unit tool axis a, from tip to shank, shape (..., 3), broadcast.
-            offset: How far the edge stands out [m], shape (...), broadcast.
+            offset: Radial offset of the edge [m], shape (...), broadcast.
 
         Returns:
             The distance [m], shape (...).
@@ -189,7 +188,7 @@ class EndMill(AbstractCutter):
         tip: Float[Array, "*#place 3"],
         axis: Float[Array, "*#place 3"],
     ) -> Float[Array, "... 3"]:
-        """Return the outward unit gradient of `level`.
+        """Outward normal: the unit gradient of `level`.
 
         Args:
             points: Points [m], shape (..., 3).
@@ -212,16 +211,16 @@ class EndMill(AbstractCutter):
         tip: Float[Array, "*#ray 3"],
         offset: Float[Array, "*#ray"] | None = None,
     ) -> _rays.Chord:
-        """Return where rays enter and leave the upright cutter, and whether they do.
+        """Chords of rays in the upright cutter, whose axis is +z.
 
-        The tool axis is +z; see `intersect_pose` for others.
+        `intersect_pose` is for other axes.
 
         Args:
             family: Axis along which the rays run: 0 is x, 1 is y, 2 is z.
             b: Coordinate of each ray along axis (family + 1) % 3 [m].
             c: Coordinate of each ray along axis (family + 2) % 3 [m].
             tip: Tool tip [m], shape (..., 3), broadcast against the rays.
-            offset: How far the edge that cuts each ray stands out [m], broadcast.
+            offset: Radial offset of the edge that cuts each ray [m], broadcast.
 
         Returns:
             Entry and exit along the ray [m], and whether the ray is hit; entry and
@@ -238,24 +237,24 @@ class EndMill(AbstractCutter):
         if family == 2:
             is_hit = db**2 + dc**2 < R**2
             lower = jnp.broadcast_to(tip[..., 2], is_hit.shape)
-            if self.kind != "flat":
+            if self.has_corner:
                 square = db**2 + dc**2
                 if offset is not None:
-                    inward = jnp.sqrt(square + _TOUCH**2) - out
+                    inward = jnp.sqrt(square + _LEAST_HEIGHT**2) - out
                     square = jnp.maximum(inward, 0) ** 2
                 lower = lower + self._end_height(square, is_hit)
             elif self.has_dish:
                 # No root of zero on the axis, whose derivative is infinite.
-                inward = R - jnp.sqrt(db**2 + dc**2 + _TOUCH**2)
+                inward = R - jnp.sqrt(db**2 + dc**2 + _LEAST_HEIGHT**2)
                 rise = jnp.maximum(inward, 0) * jnp.tan(self.dish_angle)
                 lower = lower + jnp.where(is_hit, rise, 0)
             return _rays.Chord(lower, jnp.full_like(lower, _rays.FAR), is_hit)
         across, up = (db, dc) if family == 0 else (dc, db)
-        r = R if self.kind == "flat" else self._end_radius(up) + out
+        r = self._end_radius(up) + out if self.has_corner else R
         square = r**2 - across**2
         # Walls and floors of real parts lie exactly on rays: without a tolerance,
         # rounding would decide pose by pose and shred such a ray.
-        is_hit = (square > (_GRAZE * R) ** 2) & (up > _TOUCH)
+        is_hit = (square > (_LEAST_HALF_CHORD * R) ** 2) & (up > _LEAST_HEIGHT)
         half = jnp.sqrt(jnp.where(is_hit, square, 1.0))
         middle = tip[..., family]
         return _rays.Chord(middle - half, middle + half, jnp.asarray(is_hit))
@@ -263,7 +262,7 @@ class EndMill(AbstractCutter):
     def _end_height(
         self, square: Float[Array, "..."], is_hit: Bool[Array, "..."]
     ) -> Float[Array, "..."]:
-        """Return the height of the end at a squared distance from the axis [m]."""
+        """Height of the end at a squared distance from the axis [m]."""
         R, rc = self._sizes(square.dtype)
         is_out = is_hit & (square > (R - rc) ** 2)
         x = jnp.sqrt(jnp.where(is_out, square, (R - rc / 2) ** 2)) - (R - rc)
@@ -273,9 +272,9 @@ class EndMill(AbstractCutter):
         return jnp.where(is_out, with_derivative_of(height, _bounded_height, x, rc), 0)
 
     def _end_radius(self, up: Float[Array, "..."]) -> Float[Array, "..."]:
-        """Return the radius of the end at a height above the tip [m]."""
+        """Radius of the end at a height above the tip [m]."""
         R, rc = self._sizes(up.dtype)
-        is_in = (up > _TOUCH) & (up < rc)
+        is_in = (up > _LEAST_HEIGHT) & (up < rc)
         z = jnp.where(is_in, up, rc / 2)
         return jnp.where(is_in, R - rc + jnp.sqrt(z * (2 * rc - z)), R)
 
@@ -288,12 +287,12 @@ class EndMill(AbstractCutter):
         axis: Float[Array, "*#ray 3"],
         offset: Float[Array, "*#ray"] | None = None,
     ) -> _rays.Chord:
-        """Return where rays enter and leave the cutter in a pose, and whether.
+        """Chords of rays in the cutter in a pose.
 
         Exact for flat and ball ends; by Newton's method for a bull-nose and for a ball
-        whose edge stands out. A ray that
-        only touches the cutter is left whole, as by `intersect`: if half its chord is
-        shorter than 0.02 of the radius, or if it is nowhere 1 nm above the bottom.
+        whose edge stands out. A ray that only touches the cutter is not hit, as by
+        `intersect`: if half its chord is shorter than 0.02 of the radius, or if it is
+        nowhere 1 nm above the bottom.
 
         Args:
             family: Axis along which the rays run: 0 is x, 1 is y, 2 is z.
@@ -301,7 +300,7 @@ class EndMill(AbstractCutter):
             c: Coordinate of each ray along axis (family + 2) % 3 [m], broadcast.
             tip: Tool tip [m], shape (..., 3), broadcast against the rays.
             axis: Unit tool axis, from tip to shank, shape (..., 3), broadcast.
-            offset: How far the edge that cuts each ray stands out [m], broadcast.
+            offset: Radial offset of the edge that cuts each ray [m], broadcast.
 
         Returns:
             Entry and exit along the ray [m], cut off at +-1 km, and whether the ray is
@@ -321,7 +320,7 @@ class EndMill(AbstractCutter):
         frozen = jax.lax.stop_gradient((b, c, tip, axis))
         fixed = jax.lax.stop_gradient(sizes)
         ray = _rays.make_ray(family, *frozen)
-        if self.kind == "flat":
+        if not self.has_corner:
             start, stop, is_met = _rays.capped_cylinder(
                 ray, fixed.radius, fixed.corner_radius
             )
@@ -330,17 +329,18 @@ class EndMill(AbstractCutter):
         else:
             start, stop, is_met = _rays.bull(ray, fixed)
         top = jnp.maximum(ray.height(start), ray.height(stop))
-        is_hit = is_met & (stop - start > 2 * _GRAZE * fixed.radius) & (top > _TOUCH)
+        is_long = stop - start > 2 * _LEAST_HALF_CHORD * fixed.radius
+        is_hit = is_met & is_long & (top > _LEAST_HEIGHT)
         ends = []
         for t, sign in ((start, -1), (stop, 1)):
-            slope = sign * jnp.maximum(sign * ray.level(t, fixed)[1], _FLAT)
+            slope = sign * jnp.maximum(sign * ray.level(t, fixed)[1], _LEAST_SLOPE)
             end = jnp.clip(frozen[2][..., family] + t, -_rays.FAR, _rays.FAR)
             place = [end, end, end]
             place[(family + 1) % 3], place[(family + 2) % 3] = b, c
             is_free = is_hit & (t > ray.low) & (t < ray.high)
             slope = jnp.where(is_free, slope, jnp.inf)
-            where = (jnp.stack(place, axis=-1), tip, axis, offset)
-            ends.append(with_derivative_of(end, _off, self, *where, slope))
+            pose = (jnp.stack(place, axis=-1), tip, axis, offset)
+            ends.append(with_derivative_of(end, _end_shift, self, *pose, slope))
         return _rays.Chord(ends[0], ends[1], is_hit)
 
     def wall_slopes(
@@ -350,7 +350,7 @@ class EndMill(AbstractCutter):
         across: Float[Array, "..."],
         tip: Float[Array, "... 3"],
     ) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
-        """Return how a hit point moves with the tip across the ray and the radius.
+        """Slopes of a hit point by the tip across the ray, and by the radius.
 
         A point x on the circle (x - c_x)^2 + (y - c_y)^2 = R^2 of a ray along x moves
         by dx = dc_x + (y - c_y) / (x - c_x) dc_y + R / (x - c_x) dR.
@@ -367,7 +367,7 @@ class EndMill(AbstractCutter):
         Raises:
             ValueError: If the end is not flat: its walls also move with the height.
         """
-        if self.kind != "flat":
+        if self.has_corner:
             raise ValueError(
                 f'A cutter of kind "flat" is required here, but found "{self.kind}".'
             )
@@ -390,7 +390,7 @@ class EndMill(AbstractCutter):
         dtype: DTypeLike,
         corner_limit: RealScalarLike = math.pi / 2,
     ) -> EdgeElements:
-        """Return the edge elements of one tooth, from the centre to the shank.
+        """Edge elements of one tooth, from the centre to the shank.
 
         Args:
             bottom: Number of annuli of equal width on the bottom.
@@ -418,15 +418,45 @@ class EndMill(AbstractCutter):
                 "`corner_limit` from 0 to pi / 2, but are "
                 f"{bottom}, {corner}, {side} and {corner_limit}."
             )
-        R, rc = self._sizes(dtype)
-        helix = jnp.asarray(self.helix_angle, dtype)
-        profile = EdgeProfile(R, rc, helix, corner_limit, height)
-        return edge_elements(profile, ElementCounts(bottom, corner, side), dtype)
+        # symbols: R radius, r corner radius, kappa angle between axis and normal
+        R, r = self._sizes(dtype)
+
+        def middles(count: int) -> Float[Array, " element"]:
+            return (jnp.arange(count, dtype=dtype) + 0.5) / max(count, 1)
+
+        zero, one = jnp.zeros(bottom, dtype), jnp.ones(side, dtype)
+        kappa = middles(corner) * corner_limit
+        arc = corner_limit / max(corner, 1)
+        heights = jnp.concatenate(
+            [zero, r * (1 - jnp.cos(kappa)), r + height * side * middles(side)]
+        )
+        return EdgeElements(
+            height=heights,
+            radius=jnp.concatenate(
+                [(R - r) * middles(bottom), R - r + r * jnp.sin(kappa), R * one]
+            ),
+            sin_kappa=jnp.concatenate([zero, jnp.sin(kappa), one]),
+            cos_kappa=jnp.concatenate(
+                [jnp.ones(bottom, dtype), jnp.cos(kappa), jnp.zeros(side, dtype)]
+            ),
+            width=jnp.concatenate(
+                [
+                    jnp.full(bottom, 1 / max(bottom, 1), dtype) * (R - r),
+                    jnp.full(corner, arc, dtype) * r,
+                    height * one,
+                ]
+            ),
+            lag=heights * jnp.tan(jnp.asarray(self.helix_angle, dtype)) / R,
+            sagitta=jnp.concatenate(
+                [zero, jnp.full(corner, r * arc**2 / 24, dtype), 0 * one]
+            ),
+            bottom_count=bottom,
+        )
 
     def runout_offsets(
         self, lag: Float[Array, "*element"] | float = 0.0
     ) -> Float[Array, "tooth ..."]:
-        """Return how far the edge of each tooth stands out by the run-out.
+        """Radial offset of the edge of each tooth by the run-out [m].
 
         The axis of the cutter lies beside that of rotation, so that along a helix the
         edge turns out of the direction of the run-out. Kline and DeVor, The effect of
@@ -445,7 +475,7 @@ class EndMill(AbstractCutter):
         return jnp.asarray(self.runout, pitch.dtype) * jnp.cos(turned)
 
 
-def _off(
+def _end_shift(
     cutter: AbstractCutter,
     place: Float[Array, "*end 3"],
     tip: Float[Array, "*end 3"],
@@ -453,18 +483,18 @@ def _off(
     offset: Float[Array, "*end"] | None,
     slope: Float[Array, "*end"],
 ) -> Float[Array, "*end"]:
-    """Return how far along rays the surface lies behind places on it [m].
+    """Shift of the ends of chords along their rays [m], -level / slope.
 
-    The surface stays where the level is zero: only the derivative of this counts.
+    It is zero, as an end lies on the surface: only its derivative counts.
 
     Args:
         cutter: The cutter.
-        place: On the surface, in `work` [m], shape (..., 3).
+        place: End of a chord in `work` [m], shape (..., 3).
         tip: Tool tip [m], shape (..., 3).
         axis: Unit tool axis, shape (..., 3).
-        offset: How far the edge stands out [m], shape (...).
-        slope: Of the level along the rays [-], shape (...); infinite where the end
-            does not move.
+        offset: Radial offset of the edge [m], shape (...).
+        slope: Slope of the level along the rays [-], shape (...); infinite where the
+            end does not move.
     """
     return -cutter.level(place, tip, axis, offset) / slope
 
@@ -472,13 +502,13 @@ def _off(
 def _bounded_height(
     x: Float[Array, "..."], corner_radius: Float[Array, ""]
 ) -> Float[Array, "..."]:
-    """Return the height of a corner, as steep at most as slopes of ends may be [m].
+    """Height of a corner, its slope bounded as that of the ends of chords [m].
 
     Args:
         x: Distance outward from the center of the corner [m], any shape.
         corner_radius: [m], shape ().
     """
-    least = jax.lax.stop_gradient(_FLAT * corner_radius)
+    least = jax.lax.stop_gradient(_LEAST_SLOPE * corner_radius)
     square = corner_radius**2 - x**2
     is_steep = square < least**2
     root = jnp.sqrt(jnp.where(is_steep, 1, square))
@@ -486,7 +516,7 @@ def _bounded_height(
 
 
 class _SizedEndMill(EndMill):
-    """An end mill of which the nominal sizes are leaves; attributes as of `EndMill`."""
+    """An end mill of which the nominal sizes are leaves; else as `EndMill`."""
 
     flute_length: float
     nominal_radius: float

@@ -10,8 +10,9 @@ from jaxtyping import Array, Float
 
 from . import _rays
 
-# Keeps a quadratic quadratic where a ray runs along the surface of a cone.
-_FLAT = 1e-12
+# Least leading coefficient of the quadratic of a ray, which vanishes along the surface
+# of a cone, and least cosine between a ray and the axis.
+_LEAST_COEFFICIENT = 1e-12
 
 
 class HolderPart(eqx.Module):
@@ -57,7 +58,7 @@ class ToolHolder(eqx.Module):
         *,
         upper_diameters: Sequence[float] | None = None,
     ) -> "ToolHolder":
-        """Return a holder from the sizes of its parts, from the lower face up.
+        """Holder from the sizes of its parts, from the lower face up.
 
         Args:
             overhang: From the tip of the tool to the lower face of the holder [m].
@@ -101,7 +102,7 @@ class ToolHolder(eqx.Module):
         return max(max(p.diameter, p.upper_diameter) for p in self.parts) / 2
 
     def feet(self) -> tuple[float, ...]:
-        """Return the height of the lower end of each part above the tip [m]."""
+        """Height of the lower end of each part above the tip [m]."""
         heights = [self.overhang]
         for part in self.parts[:-1]:
             heights.append(heights[-1] + part.length)
@@ -116,11 +117,11 @@ class ToolHolder(eqx.Module):
         tip: Float[Array, " 3"],
         axis: Float[Array, " 3"],
     ) -> Float[Array, "*piece"]:
-        """Return how deep the holder is in pieces of rays.
+        """Depth of the holder in pieces of rays [m].
 
         The depth of a point is its distance from the side and the lower face of the
-        part around it; the upper end counts as open, since the spindle is above it. A
-        piece is judged by its point nearest to the middle of a part.
+        part around it; the upper end counts as open, since the spindle is above it. Of
+        a piece the point nearest to the middle of a part counts.
 
         Args:
             family: Axis along which the rays run: 0 is x, 1 is y, 2 is z.
@@ -134,11 +135,11 @@ class ToolHolder(eqx.Module):
         Returns:
             The depth [m], shape (...); zero where the holder is not.
 
-        Differentiability: none intended; contact is only looked for.
+        Differentiability: none intended, as a contact is only detected.
         """
         ray = _rays.make_ray(family, b, c, tip, axis)
         low, high = pieces - tip[family]
-        found = jnp.zeros(jnp.broadcast_shapes(b.shape, c.shape, low.shape), b.dtype)
+        depth = jnp.zeros(jnp.broadcast_shapes(b.shape, c.shape, low.shape), b.dtype)
         for part, foot in zip(self.parts, self.feet(), strict=True):
             start, stop, is_hit = _frustum(ray, part, foot)
             first, last = jnp.maximum(low, start), jnp.minimum(high, stop)
@@ -148,22 +149,22 @@ class ToolHolder(eqx.Module):
             rho = jnp.sqrt((ray.slant * (t - ray.middle)) ** 2 + ray.offset**2)
             side = (part.diameter / 2 + slope * up - rho) / math.hypot(1, slope)
             is_in = is_hit & (last > first)
-            found = jnp.maximum(found, jnp.where(is_in, jnp.minimum(up, side), 0))
-        return found
+            depth = jnp.maximum(depth, jnp.where(is_in, jnp.minimum(up, side), 0))
+        return depth
 
 
 def _frustum(ray: _rays.Ray, part: HolderPart, foot: float) -> _rays.Chord:
-    """Return the interval of rays within a cone between two heights.
+    """Interval of rays within a cone between two heights.
 
     The square of the distance from the axis is at most that of the radius there,
-    a t^2 + 2 b t + c <= 0; within the two heights the radius is positive, so what of
-    this is between them is one interval.
+    a t^2 + 2 b t + c <= 0. Between the two heights the radius is positive, so that this
+    holds on one interval.
     """
     k = (part.upper_diameter - part.diameter) / 2 / part.length
     radius = part.diameter / 2 + k * (ray.along - foot)
     rises = k * ray.rise
     a = ray.slant**2 - rises**2
-    a = jnp.where(jnp.abs(a) < _FLAT, _FLAT, a)
+    a = jnp.where(jnp.abs(a) < _LEAST_COEFFICIENT, _LEAST_COEFFICIENT, a)
     b = -(ray.slant**2) * ray.middle - rises * radius
     c = (ray.slant * ray.middle) ** 2 + ray.offset**2 - radius**2
     square = b**2 - a * c
@@ -177,7 +178,7 @@ def _frustum(ray: _rays.Ray, part: HolderPart, foot: float) -> _rays.Chord:
     is_open = a < 0
     start = jnp.where(is_open, jnp.where(rises > 0, high, ray.low), low)
     stop = jnp.where(is_open, jnp.where(rises > 0, ray.high, low), high)
-    is_level = jnp.abs(ray.rise) < _FLAT
+    is_level = jnp.abs(ray.rise) < _LEAST_COEFFICIENT
     rise = jnp.where(is_level, 1, ray.rise)
     ends = (foot - ray.along) / rise, (foot + part.length - ray.along) / rise
     between = (ray.along > foot) & (ray.along < foot + part.length)

@@ -1,7 +1,7 @@
 """The signed distance of a rotating end mill, and its gradient.
 
-The solid of radius R and corner radius r_c is what lies within r_c of the cylinder of
-radius R - r_c that begins at the height r_c on the tool axis and has no upper end:
+The solid of radius R and corner radius r_c holds the points within r_c of the cylinder
+of radius R - r_c that begins at the height r_c on the tool axis and has no upper end:
 r_c = 0 leaves the cylinder, r_c = R is a ball end.
 """
 
@@ -10,9 +10,9 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-# Closer than this to the axis or the edge of the inner cylinder [m] counts as on it;
-# its square is still a normal number in single precision.
-_ON = 1e-15
+# Distance from the axis, or from the edge of the inner cylinder, below which a point
+# counts as on it [m]; its square is still a normal number in single precision.
+_LEAST_DISTANCE = 1e-15
 
 
 class Sizes(NamedTuple):
@@ -42,13 +42,13 @@ class Level(NamedTuple):
 
 
 class AxisPlace(NamedTuple):
-    """Where points are, seen from the tool axis.
+    """Cylindrical coordinates of points about the tool axis.
 
     Attributes:
         along: Height above the tip [m].
         offset: From the axis [m], shape (..., 3).
         rho: Length of the offset [m]; 1 m on the axis, to divide by.
-        is_off: Whether the point is off the axis.
+        is_off: True if the point is off the axis.
     """
 
     along: Float[Array, "..."]
@@ -63,24 +63,24 @@ class AxisPlace(NamedTuple):
         tip: Float[Array, "*#place 3"],
         axis: Float[Array, "*#place 3"],
     ) -> "AxisPlace":
-        """Return the places of points [m]; tip [m] and unit axis are broadcast."""
+        """Places of points [m]; tip [m] and unit axis are broadcast."""
         points, tip, axis = jnp.broadcast_arrays(points, tip, axis)
         away = points - tip
         along = jnp.sum(away * axis, axis=-1)
         offset = away - along[..., None] * axis
         square = jnp.sum(offset**2, axis=-1)
-        is_off = square > _ON**2
+        is_off = square > _LEAST_DISTANCE**2
         return cls(along, offset, jnp.sqrt(jnp.where(is_off, square, 1)), is_off)
 
     def level(self, sizes: Sizes) -> Level:
-        """Return the signed distance there."""
+        """Signed distance of the points, and its gradient."""
         return profile_level(self.along, jnp.where(self.is_off, self.rho, 0), sizes)
 
 
 def profile_level(
     along: Float[Array, "..."], across: Float[Array, "..."], sizes: Sizes
 ) -> Level:
-    """Return the signed distance in the half plane of the profile.
+    """Signed distance in the half plane of the profile, and its gradient.
 
     Args:
         along: Height above the tip along the axis [m].
@@ -94,7 +94,7 @@ def profile_level(
     side = across - (R - rc)
     below = rc - along
     # Maxima and minima by `where`: at a tie they would share the derivative.
-    is_corner = (side > _ON) & (below > _ON)
+    is_corner = (side > _LEAST_DISTANCE) & (below > _LEAST_DISTANCE)
     is_side = side > below
     x = jnp.where(is_corner, side, 1)
     y = jnp.where(is_corner, below, 1)
@@ -112,7 +112,7 @@ def level(
     axis: Float[Array, "*#place 3"],
     sizes: Sizes,
 ) -> Float[Array, "..."]:
-    """Return the signed distance of points; see `EndMill.level`."""
+    """Signed distance of points [m]; see `EndMill.level`."""
     return AxisPlace.of(points, tip, axis).level(sizes).value
 
 
@@ -122,7 +122,7 @@ def normal(
     axis: Float[Array, "*#place 3"],
     sizes: Sizes,
 ) -> Float[Array, "... 3"]:
-    """Return the unit gradient of the signed distance; see `EndMill.normal`."""
+    """Unit gradient of the signed distance; see `EndMill.normal`."""
     place = AxisPlace.of(points, tip, axis)
     axis = jnp.broadcast_to(axis, place.offset.shape)
     _, by_along, by_across = place.level(sizes)

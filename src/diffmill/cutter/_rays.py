@@ -15,22 +15,22 @@ from jaxtyping import Array, Bool, Float
 
 from ._profile import Sizes, profile_level
 
-# Rays are cut off here [m], beyond any workpiece.
+# Distance at which rays are cut off, beyond any workpiece [m].
 FAR = 1e3
-# Sines under this are parallel, cosines under it a right angle: the ray would meet the
-# side, or the plane of the bottom, far beyond `FAR`.
-_PARALLEL = 1e-12
+# Least sine of an angle that is not parallel, least cosine of one that is not a right
+# angle: the ray would meet the side, or the plane of the bottom, far beyond `FAR`.
+_LEAST_SINE = 1e-12
 # Steps of Newton's method for the torus of a bull-nose.
 NEWTON_STEPS = 12
 
 
 class Chord(NamedTuple):
-    """What of each ray is in a convex solid.
+    """Chord of each ray in a convex solid.
 
     Attributes:
-        start: Where the ray enters [m].
-        stop: Where it leaves [m].
-        is_hit: Whether it meets the solid; start and stop mean nothing where not.
+        start: Coordinate at which the ray enters [m].
+        stop: Coordinate at which it leaves [m].
+        is_hit: True if the ray meets the solid; else start and stop mean nothing.
     """
 
     start: Float[Array, "..."]
@@ -46,11 +46,11 @@ class Ray(eqx.Module):
         tilt: Tool axis along these two coordinates, two arrays.
         rise: Cosine between ray and tool axis.
         slant: Sine between them; 0 if parallel.
-        middle: Where the ray is closest to the tool axis, t [m].
-        offset: How close that is [m].
+        middle: t of the point closest to the tool axis [m].
+        offset: Distance of that point from the axis [m].
         along: Height above the tip at t = 0 [m].
-        low: Where the ray is cut off below, t [m].
-        high: Where it is cut off above, t [m].
+        low: t at which the ray is cut off below [m].
+        high: t at which the ray is cut off above [m].
     """
 
     foot: tuple[Float[Array, "..."], Float[Array, "..."]]
@@ -64,7 +64,7 @@ class Ray(eqx.Module):
     high: Float[Array, "..."]
 
     def height(self, t: Float[Array, "..."]) -> Float[Array, "..."]:
-        """Return the height above the tip along the tool axis [m]."""
+        """Height above the tip along the tool axis [m]."""
         return self.along + t * self.rise
 
     def level(
@@ -72,7 +72,7 @@ class Ray(eqx.Module):
         t: Float[Array, "..."],
         sizes: Sizes,
     ) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
-        """Return the signed distance [m] and its slope along the ray."""
+        """Signed distance [m] and its slope along the ray [-]."""
         x = self.slant * (t - self.middle)
         square = x**2 + self.offset**2
         is_off = square > 0
@@ -89,12 +89,12 @@ def make_ray(
     tip: Float[Array, "... 3"],
     axis: Float[Array, "... 3"],
 ) -> Ray:
-    """Return rays along `family` as seen from the tool axis; shapes agree."""
+    """Rays along an axis of `work`, seen from the tool axis; shapes agree."""
     axis_b, axis_c = (family + 1) % 3, (family + 2) % 3
     x, y = b - tip[..., axis_b], c - tip[..., axis_c]
     p, q, rise = axis[..., axis_b], axis[..., axis_c], axis[..., family]
     slant = jnp.sqrt(p**2 + q**2)
-    is_slanted = slant > _PARALLEL
+    is_slanted = slant > _LEAST_SINE
     s = jnp.where(is_slanted, slant, 1)
     along = x * p + y * q
     crossing = jnp.abs(y * (p / s) - x * (q / s))
@@ -114,12 +114,12 @@ def make_ray(
 def capped_cylinder(
     ray: Ray, radius: Float[Array, "..."], bottom: Float[Array, "..."]
 ) -> Chord:
-    """Return the interval within a radius of the axis and above a height on it."""
+    """Interval within a radius of the axis and above a height on it."""
     square = radius**2 - ray.offset**2
     is_slanted = ray.slant > 0
     s = jnp.where(is_slanted, ray.slant, 1)
     half = jnp.where(is_slanted, jnp.sqrt(jnp.maximum(square, 0)) / s, 2 * FAR)
-    is_level = jnp.abs(ray.rise) < _PARALLEL
+    is_level = jnp.abs(ray.rise) < _LEAST_SINE
     cross = (bottom - ray.along) / jnp.where(is_level, 1, ray.rise)
     from_below = jnp.where(~is_level & (ray.rise > 0), cross, ray.low)
     to_below = jnp.where(~is_level & (ray.rise < 0), cross, ray.high)
@@ -130,7 +130,7 @@ def capped_cylinder(
 
 
 def ball(ray: Ray, radius: Float[Array, ""]) -> Chord:
-    """Return the interval within a ball end: sphere and shank together."""
+    """Interval within a ball end: sphere and shank together."""
     (x, y), (p, q) = ray.foot, ray.tilt
     square = radius**2 - (x - radius * p) ** 2 - (y - radius * q) ** 2
     in_ball = square > 0
@@ -147,7 +147,7 @@ def ball(ray: Ray, radius: Float[Array, ""]) -> Chord:
 
 
 def bull(ray: Ray, sizes: Sizes) -> Chord:
-    """Return the interval within a bull-nose.
+    """Interval within a bull-nose.
 
     Newton's method on the convex signed distance, from both ends of the cylinder
     around the solid: steps from outside never go past a root.

@@ -1,4 +1,4 @@
-"""Read the table of materials: the only module of this subpackage that reads a file."""
+"""Table of materials: the only module of this subpackage that reads a file."""
 
 import functools
 import tomllib
@@ -30,7 +30,7 @@ class Material(NamedTuple):
 
     Attributes:
         law: The force law with Python floats as coefficients [Pa, N/m].
-        source: Where they come from: cutter, conditions, and which are missing.
+        source: Their source, cutter and conditions, and the missing coefficients.
         kind: Class of materials, as "aluminium" or "steel".
     """
 
@@ -40,7 +40,7 @@ class Material(NamedTuple):
 
 
 def material(name: str) -> Material:
-    """Return a material with published coefficients.
+    """Material with published coefficients.
 
     Args:
         name: One of `materials()`.
@@ -57,17 +57,18 @@ def material(name: str) -> Material:
 
 @functools.cache
 def materials() -> Mapping[str, Material]:
-    """Return the materials that `[force] material` of a job takes, by name, sorted."""
+    """Materials that `[force] material` of a job takes, by name, sorted."""
     file = resources.files("diffmill.cutting").joinpath("materials.toml")
-    table = tomllib.loads(file.read_text(encoding="utf-8"))
-    return MappingProxyType({name: _material(table[name]) for name in sorted(table)})
-
-
-def _material(row: dict[str, Any]) -> Material:
-    line = f"{row['source']}; cutter: {row['cutter']}; conditions: {row['conditions']}"
-    if "lacks" in row:
-        line += f"; no {row['lacks']}: these are zero"
-    values = {
-        name: row.get(key, 0.0) * factor for name, (key, factor) in _UNITS.items()
-    }
-    return Material(LinearEdgeLaw(**values), line, row["class"])
+    table: dict[str, Any] = tomllib.loads(file.read_text(encoding="utf-8"))
+    result = {}
+    for name, row in sorted(table.items()):
+        source = f"{row['source']}; cutter: {row['cutter']}; conditions: "
+        source += row["conditions"]
+        if "lacks" in row:
+            source += f"; no {row['lacks']}: these are zero"
+        values = {
+            symbol: row.get(key, 0.0) * factor
+            for symbol, (key, factor) in _UNITS.items()
+        }
+        result[name] = Material(LinearEdgeLaw(**values), source, row["class"])
+    return MappingProxyType(result)

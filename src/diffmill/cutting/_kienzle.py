@@ -92,13 +92,13 @@ class KienzleLaw(AbstractForceLaw):
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
-        """Return coefficients and exponents; what the thicknesses are is agreed."""
-        agreed = ("reference_thickness", "least_thickness")
-        return tuple(x for x in super().parameter_names if x not in agreed)
+        """Names of coefficients and exponents; the two thicknesses are conventions."""
+        conventions = ("reference_thickness", "least_thickness")
+        return tuple(x for x in super().parameter_names if x not in conventions)
 
     @property
     def tooth_count(self) -> int | None:
-        """Return how many values a coefficient has that has one per tooth, or None."""
+        """Number of teeth that have coefficients of their own, None for one for all."""
         cutting = (self.K_tc11, self.K_rc11, self.K_ac11, self.m_t, self.m_r, self.m_a)
         return tooth_count_of(*cutting, self.K_te, self.K_re, self.K_ae)
 
@@ -110,7 +110,7 @@ class KienzleLaw(AbstractForceLaw):
     ) -> tuple[
         Float[Array, "*sample"], Float[Array, "*sample"], Float[Array, "*sample"]
     ]:
-        """Return tangential, radial and axial force per width; see `AbstractForceLaw`.
+        """Tangential, radial and axial force per width; see `AbstractForceLaw`.
 
         Differentiability: once continuously differentiable in the chip, h = 0
         included; the curvature jumps at the least thickness. Smooth in the
@@ -135,7 +135,7 @@ class KienzleLaw(AbstractForceLaw):
         K_1: Float[Array, "..."],
         m: Float[Array, "..."],
     ) -> Float[Array, "*sample"]:
-        """Return the cutting part K(h) h of one component [N/m]."""
+        """Cutting part K(h) h of one component [N/m]."""
         h_1 = jnp.asarray(self.reference_thickness, h.dtype)
         h_0 = jnp.asarray(self.least_thickness, h.dtype)
         # The power never sees a chip below h_0: at zero its derivative is infinite.

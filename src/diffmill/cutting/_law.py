@@ -34,11 +34,11 @@ class AbstractForceLaw(eqx.Module):
     ) -> tuple[
         Float[Array, "*sample"], Float[Array, "*sample"], Float[Array, "*sample"]
     ]:
-        """Return tangential, radial and axial force per width.
+        """Tangential, radial and axial force per width.
 
         Args:
             chip_thickness: Chip thickness h [m], zero outside the cut, any shape.
-            edge_contact: 0 to 1, whether the edge touches the material, same shape.
+            edge_contact: Contact of edge and material, 0 to 1, same shape.
             tooth: Index of the tooth, same shape; matters only to coefficients per
                 tooth.
 
@@ -47,7 +47,7 @@ class AbstractForceLaw(eqx.Module):
         """
 
     def for_bottom(self) -> "AbstractForceLaw":
-        """Return the law of the bottom edges that is derived from this one.
+        """Law of the bottom edges that is derived from this one.
 
         A bottom edge is taken as the same edge without inclination: F_t and F_r as
         on the side, F_r now along the axis, and no force along the edge. That force
@@ -58,13 +58,20 @@ class AbstractForceLaw(eqx.Module):
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
-        """Return the names of the fields that hold numbers which may be wrong."""
-        fields = dataclasses.fields(self)
-        return tuple(x.name for x in fields if _is_real(getattr(self, x.name)))
+        """Names of the uncertain parameters: the fields that hold real numbers."""
+
+        def is_real(value: object) -> bool:
+            dtype = getattr(value, "dtype", None)
+            if dtype is None:
+                return isinstance(value, float)
+            return bool(jnp.issubdtype(dtype, jnp.floating))
+
+        names = [field.name for field in dataclasses.fields(self)]
+        return tuple(name for name in names if is_real(getattr(self, name)))
 
     @property
     def tooth_count(self) -> int | None:
-        """Return for how many teeth it has coefficients; None if for any number."""
+        """Number of teeth that have coefficients of their own, None for one for all."""
         return None
 
 
@@ -85,7 +92,7 @@ class UninclinedLaw(AbstractForceLaw):
     ) -> tuple[
         Float[Array, "*sample"], Float[Array, "*sample"], Float[Array, "*sample"]
     ]:
-        """Return F_t, F_r and zero per width; see `AbstractForceLaw`.
+        """F_t, F_r and zero per width; see `AbstractForceLaw`.
 
         Differentiability: as `law`.
         """
@@ -94,19 +101,12 @@ class UninclinedLaw(AbstractForceLaw):
 
     @property
     def tooth_count(self) -> int | None:
-        """Return that of the other law."""
+        """Number of teeth of the other law, None for one for all."""
         return self.law.tooth_count
 
 
-def _is_real(value: object) -> bool:
-    dtype = getattr(value, "dtype", None)
-    if dtype is None:
-        return isinstance(value, float)
-    return bool(jnp.issubdtype(dtype, jnp.floating))
-
-
 def as_coefficient(value: ToothValues | Sequence[RealScalarLike]) -> ToothValues:
-    """Return a coefficient in floating point, so that it is one of the parameters."""
+    """Coefficient in floating point, so that it is one of the parameters."""
     if isinstance(value, float | jax.Array | np.ndarray):
         is_real = jnp.issubdtype(jnp.result_type(value), jnp.floating)
         return value if is_real else jnp.asarray(value, float)
@@ -134,15 +134,15 @@ def check_teeth(**coefficients: ToothValues) -> None:
             )
     counts = {name: shape[0] for name, shape in shapes.items() if shape}
     if len(set(counts.values())) > 1:
-        found = ", ".join(f"{name}: {count}" for name, count in counts.items())
+        listed = ", ".join(f"{name}: {count}" for name, count in counts.items())
         raise ValueError(
             "Coefficients with one value per tooth must all have as many values, but "
-            f"found {found}."
+            f"found {listed}."
         )
 
 
 def tooth_count_of(*coefficients: ToothValues) -> int | None:
-    """Return how many values those with one value per tooth have; None for none.
+    """Number of teeth of the coefficients with a value per tooth; None without any.
 
     Args:
         *coefficients: Each of shape () or (tooth,), as `check_teeth` lets them pass.
@@ -160,7 +160,7 @@ def of_tooth(
     like: Float[Array, "*sample"],
     tooth: Int32[Array, "*sample"],
 ) -> Float[Array, "..."]:
-    """Return a coefficient at samples of several teeth.
+    """Coefficient at samples of several teeth.
 
     Args:
         coefficient: Shape () or (tooth,), any unit.

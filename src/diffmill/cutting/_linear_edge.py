@@ -60,7 +60,7 @@ class LinearEdgeLaw(AbstractForceLaw):
 
     @property
     def tooth_count(self) -> int | None:
-        """Return how many values a coefficient has that has one per tooth, or None."""
+        """Number of teeth that have coefficients of their own, None for one for all."""
         return tooth_count_of(
             self.K_tc, self.K_rc, self.K_ac, self.K_te, self.K_re, self.K_ae
         )
@@ -73,7 +73,7 @@ class LinearEdgeLaw(AbstractForceLaw):
     ) -> tuple[
         Float[Array, "*sample"], Float[Array, "*sample"], Float[Array, "*sample"]
     ]:
-        """Return tangential, radial and axial force per width; see `AbstractForceLaw`.
+        """Tangential, radial and axial force per width; see `AbstractForceLaw`.
 
         Differentiability: linear in the chip, the contact and the coefficients.
         """

@@ -3,13 +3,11 @@
 What it models: `lowpass`, a Butterworth filter run forward and backward, which takes
 the tooth frequency out of forces for display and noise out of a predicted deviation
 before it is mirrored. The filter has no phase shift, and its order and cut-off are
-arguments. Besides, derivatives that JAX would not find by itself, or not as cheaply:
-`with_derivative_of` and `clamp`; `materialise` keeps what XLA would compute again,
-`ShortAxis` sums up what it would reduce slowly, `Rematerialised` computes again what
-reverse mode would keep; `small_inverse` is an inverse that batches well.
-`hat_integral` is the smooth step that samples at any phase sum up fairly, `ramp` a
-kink rounded off. `CachedJit` compiles a function on another core before its
-first call, and keeps what it traced for the next process.
+arguments. `hat_integral` is the smooth step whose sum over samples does not depend on
+their phase, `ramp` a kink rounded off, `clamp` a clamp with a cheap derivative,
+`small_inverse` an inverse that batches well. The rest changes machine code and no
+result (`docs/machine_code.md`): `materialise`, `ShortAxis`, `Rematerialised`,
+`with_derivative_of`, `as_scalar_code` and `CachedJit`.
 
 Assumes equally spaced samples on the host. Leaves out what JAX, equinox and optimistix
 already give, and filters within a traced function.

@@ -27,13 +27,13 @@ def hat_integral(x: Float[Array, "*n"]) -> Float[Array, "*n"]:
 
 @hat_integral.defjvp
 def _hat_integral_jvp(primals, tangents):
-    # The hat itself: a fraction of what the derivative of clamping would compute.
+    # The hat itself: a fraction of the work of differentiating the clamp.
     (x,), (tangent,) = primals, tangents
     return hat_integral(x), jnp.maximum(1 - jnp.abs(x), 0) * tangent
 
 
 def ramp(x: Float[Array, "*n"], width: float | Float[Array, ""]) -> Float[Array, "*n"]:
-    """Return what of x is above zero, its corner rounded off.
+    """Ramp max(x, 0) with its corner rounded off, in the unit of x.
 
     Args:
         x: Values, any shape.
@@ -49,7 +49,7 @@ def ramp(x: Float[Array, "*n"], width: float | Float[Array, ""]) -> Float[Array,
 
 @jax.custom_jvp
 def _integrated_twice(x: Float[Array, "*n"]) -> Float[Array, "*n"]:
-    """Return the integral of `hat_integral` from below -1 up to x."""
+    """Integral of `hat_integral` from below -1 up to x."""
     c = clamp(-1.0, x, 1.0)
     return 1 / 6 + 0.5 * c + 0.5 * c**2 - jnp.abs(c) ** 3 / 6 + jnp.maximum(x - 1, 0)
 

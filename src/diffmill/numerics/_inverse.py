@@ -14,7 +14,7 @@ from jaxtyping import Array, Float, Int
 
 @jax.custom_jvp
 def small_inverse(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
-    """Return the inverse of a matrix of a few rows.
+    """Inverse of a matrix of a few rows.
 
     Gauss and Jordan's elimination, each column with its largest pivot, as a loop:
     written out, it takes twice as long to compile.
