@@ -959,6 +959,7 @@ LEFT_OUT = {
         "robot.rpy_*",
         "sim.MachiningProblem.of",
         "toolpath.BlockEnds.*",
+        "toolpath.ContourStatistics.of",
         "toolpath.Move.*",
         "toolpath.Path.*",
         "toolpath.PathFeed.cycle_time",

@@ -96,7 +96,7 @@ def _row(report: Any, name: str, job: dm.Job) -> None:
     """Print the cases of a job, and judge the correction."""
     found = dm.correct(job)
     data = found.to_dataset()
-    rms = {case: case_numbers(data, case).rms for case in CASES}
+    rms = {case: case_numbers(data, case).contour.rms for case in CASES}
     offset = abs(found.commanded - found.before.desired).max()
     report.say(
         f"{name:30}"

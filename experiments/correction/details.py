@@ -23,12 +23,12 @@ def _table(report: Any, name: str, data: Any) -> None:
         f"{'entry':>8}{'exit':>8}{'corner':>8}{'plateau':>8}"
         f"{'wall95':>8}{'floor95':>8}{'m/s^2':>7}{'runs':>6}{'products':>9}{'s':>7}"
     )
-    numbers = {}
+    contours = {}
     for case in case_parts(data):
-        found = numbers[case.name] = case_numbers(data, case.name)
+        contour = contours[case.name] = case_numbers(data, case.name).contour
         row = data.sel(case=case.name)
         surface = (float(row[f"surface_{k}_p95"]) for k in ("wall", "floor"))
-        errors = (found.rms, found.percentile_95, found.maximum, *case.mean)
+        errors = (contour.rms, contour.p95, contour.max, *case.mean)
         errors = (*errors, *case.rms.values(), *surface)
         report.say(
             f"{case.name:16}"
@@ -36,14 +36,14 @@ def _table(report: Any, name: str, data: Any) -> None:
             + f"{case.max_acceleration:7.2f}{case.forward_runs:6d}"
             + f"{data.attrs[f'{case.name}_products']:9d}{case.seconds:7.1f}"
         )
-    before, after = numbers["uncorrected"].rms, numbers["corrected"].rms
-    mirror = min(numbers[k].rms for k in ("mirror", "mirror_iterated"))
+    before, after = contours["uncorrected"].rms, contours["corrected"].rms
+    mirror = min(contours[k].rms for k in ("mirror", "mirror_iterated"))
     if name == "path":
         report.at_least("uncorrected over Gauss-Newton, rms", before / after, 20)
         report.at_least("best mirror over Gauss-Newton, rms", mirror / after, 5)
         report.at_least(
             "inverse drive over Gauss-Newton, rms",
-            numbers["inverse_drive"].rms / after,
+            contours["inverse_drive"].rms / after,
             1,
         )
     report.say()

@@ -18,6 +18,7 @@ import numpy as np
 
 import diffmill as dm
 from diffmill import sim
+from diffmill.toolpath import ContourStatistics
 from part_jobs import ARMS, part_job
 from parts import PARTS
 
@@ -222,12 +223,12 @@ def _cases(report: Any, found: dm.Correction) -> Any:
     data = found.to_dataset()
     for name in found.cases:
         row = data.sel(case=name)
-        error = _contour(row)
+        contour = _contour(row)
         offset = np.abs(np.asarray(row["commanded"] - row["desired"])).max()
         errors = (
-            np.sqrt(np.mean(error**2)),
-            np.percentile(error, 95),
-            error.max(),
+            contour.rms,
+            contour.p95,
+            contour.max,
             *(float(row.get(f"surface_{k}_p95", np.nan)) for k in ("wall", "floor")),
             float(row.get("surface_deepest", np.nan)),
         )
@@ -307,15 +308,14 @@ def _error(data: Any, name: str, key: str) -> float:
     """Return the rms contour error, or the larger 95 % of wall and floor [m]."""
     row = data.sel(case=name)
     if key == "path":
-        return float(np.sqrt(np.mean(_contour(row) ** 2)))
+        return _contour(row).rms
     found = [float(row[f"surface_{k}_p95"]) for k in ("wall", "floor")]
     return float(np.nanmax(found))
 
 
-def _contour(row: Any) -> np.ndarray:
-    """Return the contour errors where the tool cuts [m]."""
-    is_cutting = np.asarray(row["is_cutting"], bool)
-    return np.abs(np.asarray(row["contour_error"], float))[is_cutting]
+def _contour(row: Any) -> ContourStatistics:
+    """Contour error where the tool cuts."""
+    return ContourStatistics.of(row["contour_error"].values, row["is_cutting"].values)
 
 
 def main() -> None:

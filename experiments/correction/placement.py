@@ -27,7 +27,7 @@ def measure(report: Any) -> None:
     """Print the uncorrected error of `paper_small` before and after it is moved."""
     job = small_job()
     solution = dm.simulate(job)
-    still, swinging = _rms(_without_inertia(job)), _error(solution)
+    still, swinging = _rms(_without_inertia(job)), solution.contour.rms
     report.say("paper_small, RV130-like, uncorrected: rms error in um")
     report.say(
         f"{'':18}{'predicted':>10}{'static':>8}{'dynamic':>9}{'x mm':>8}{'y':>8}"
@@ -81,13 +81,7 @@ def _without_inertia(job: dm.Job) -> dm.Job:
 
 
 def _rms(job: dm.Job) -> float:
-    return _error(dm.simulate(job))
-
-
-def _error(solution: dm.Solution) -> float:
-    """Return the rms contour error where the tool cuts [m]."""
-    error = np.asarray(solution.contour_error)[np.asarray(solution.is_cutting)]
-    return float(np.sqrt(np.mean(error**2)))
+    return dm.simulate(job).contour.rms
 
 
 if __name__ == "__main__":

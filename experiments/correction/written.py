@@ -18,7 +18,13 @@ from controller import controlled_job, write_controlled_job
 from diffmill import io
 from diffmill.cli import main
 from diffmill.process import ThroughPoses
-from diffmill.toolpath import Path, Program, reduce_path, sample_program
+from diffmill.toolpath import (
+    ContourStatistics,
+    Path,
+    Program,
+    reduce_path,
+    sample_program,
+)
 
 TOLERANCES = (1.0, 2.0, 5.0)
 # Blocks of `paper` at 5 um, and how much more than the command a program may leave.
@@ -87,8 +93,7 @@ def measure_formats(report: Any, example: str, controller: str) -> None:
         with xarray.open_dataset(out / "result.nc", engine="h5netcdf") as kept:
             found = {str(key): value for key, value in kept.attrs.items()}
             error = kept.sel(case="corrected").load()
-    inside = error.is_cutting.values.astype(bool)
-    own = float(np.sqrt(np.mean(error.contour_error.values[inside] ** 2)))
+    own = ContourStatistics.of(error.contour_error.values, error.is_cutting.values).rms
     report.say(
         f"{example}, controller {controller}: the command leaves {1e6 * own:.3f}"
     )
@@ -122,8 +127,7 @@ def _read_back(few: Path, path: Path, is_spline: bool) -> np.ndarray:
 
 def _rms(solution: dm.Solution, is_cutting: np.ndarray) -> float:
     """Return the rms contour error where the tool cuts [m]."""
-    error = np.asarray(solution.contour_error)[is_cutting]
-    return float(np.sqrt(np.mean(error**2)))
+    return ContourStatistics.of(solution.contour_error, is_cutting).rms
 
 
 if __name__ == "__main__":

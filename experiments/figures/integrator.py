@@ -128,6 +128,4 @@ def with_substeps(job: dm.Job, substeps: int) -> dm.Job:
 
 def headline(job: dm.Job) -> float:
     """Return the rms contour error over the rows that cut [m]."""
-    solution = dm.simulate(job, adjoint=dm.process.ThroughPoses())
-    error = np.asarray(solution.contour_error)[np.asarray(solution.is_cutting)]
-    return float(np.sqrt(np.mean(error**2)))
+    return dm.simulate(job, adjoint=dm.process.ThroughPoses()).contour.rms

@@ -42,10 +42,9 @@ def _line(
     report: Report, name: str, job: dm.Job, command: Float[Array, "step 3"]
 ) -> None:
     """Say the errors of a command on the machine of a job."""
-    found = dm.simulate(job, commanded=command)
-    error = 1e6 * np.abs(found.contour_error)[np.asarray(found.is_cutting)]
-    rms, p95 = np.sqrt(np.mean(error**2)), np.percentile(error, 95)
-    report.say(f"  {name:32}{rms:8.2f}{p95:8.2f}{error.max():8.1f}")
+    contour = dm.simulate(job, commanded=command).contour
+    rms, p95, largest = (1e6 * x for x in (contour.rms, contour.p95, contour.max))
+    report.say(f"  {name:32}{rms:8.2f}{p95:8.2f}{largest:8.1f}")
 
 
 def _scaled(job: dm.Job, start: str, factor: float) -> dm.Job:

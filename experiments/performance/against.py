@@ -25,6 +25,8 @@ from typing import NamedTuple
 import numpy as np
 import xarray
 
+from diffmill.toolpath import ContourStatistics
+
 HERE = pathlib.Path(__file__).parent
 COMMANDS = ("simulate", "correct", "gradient")
 # What this tree may take of the other's, and the noise of two equal ones.
@@ -97,8 +99,8 @@ def compare(report, *folders):
 
 def rms_where_it_cuts(case):
     """Return the rms contour error of the rows that cut [m]."""
-    error = np.asarray(case["contour_error"])[np.asarray(case["is_cutting"], bool)]
-    return float(np.sqrt(np.mean(error**2)))
+    error, is_cutting = (case[key].values for key in ("contour_error", "is_cutting"))
+    return ContourStatistics.of(error, is_cutting).rms
 
 
 def cost(tree, folder, command, job):

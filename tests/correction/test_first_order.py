@@ -37,7 +37,7 @@ def test_adam_makes_the_error_small_within_the_bound(problem):
     assert told == sorted(told, reverse=True)
     tight = eqx.tree_at(lambda p: p.max_offset, problem, np.asarray(5e-5))
     held = Adam(steps=30)(tight)
-    assert held.measures.max_offset <= 5e-5 * (1 + 1e-12)
+    assert held.command_statistics.max_offset <= 5e-5 * (1 + 1e-12)
     # From a good start it does not leave the best behind.
     again = Adam(steps=5)(problem, start=np.asarray(found.command))
     assert again.measures.rms <= found.measures.rms * 1.02

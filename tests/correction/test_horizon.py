@@ -344,7 +344,7 @@ def test_gauss_newton_goes_on_as_if_it_had_not_been_interrupted(problem):
 
 @pytest.mark.slow
 def test_a_limit_of_the_command_holds_across_seams(problem, segmented):
-    free = segmented[0].measures
+    free = segmented[0].command_statistics
     rate = np.abs(np.diff(problem.nominal, 2, axis=0)).max() / TIME_STEP**2
     limit = 0.5 * (rate + free.max_acceleration)
     method = eqx.tree_at(lambda m: m.max_acceleration, METHOD, limit)

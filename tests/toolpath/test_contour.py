@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from diffmill.toolpath import contour_error, contour_vector
+from diffmill.toolpath import ContourStatistics, contour_error, contour_vector
 
 
 def wave(count=60):
@@ -154,3 +154,16 @@ def test_float32_and_vmap():
 def test_window_must_be_positive():
     with pytest.raises(ValueError, match="window"):
         contour_vector(wave(), wave(), window=0)
+
+
+def test_statistics_count_the_rows_that_have_a_weight():
+    error = np.array([3e-6, -4e-6, 1.0, 5e-6, np.nan])
+    counts = np.array([True, True, False, True, False])
+    found = ContourStatistics.of(error, counts)
+    assert (found.mean, found.max) == pytest.approx((4e-6, 5e-6))
+    assert found.rms == pytest.approx(np.sqrt(50 / 3) * 1e-6)
+    assert found.p95 == pytest.approx(np.percentile(np.abs(error[counts]), 95))
+    weighted = ContourStatistics.of(error, np.array([1.0, 3.0, 0.0, 0.0, 0.0]))
+    assert weighted.rms == pytest.approx(np.sqrt((9 + 3 * 16) / 4) * 1e-6)
+    for rows in ([True] * 5, [False] * 5):
+        assert np.isnan(ContourStatistics.of(error, np.array(rows)).rms)

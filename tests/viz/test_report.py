@@ -86,9 +86,9 @@ def test_headline_numbers_match_numpy(correction):
     cutting = correction["is_cutting"].values
     part = correction.sel(case="mirror")
     error = np.abs(part["contour_error"].values[cutting])
-    assert numbers.rms == pytest.approx(np.sqrt(np.mean(error**2)))
-    assert numbers.percentile_95 == pytest.approx(np.percentile(error, 95))
-    assert numbers.maximum == pytest.approx(error.max())
+    assert numbers.contour.rms == pytest.approx(np.sqrt(np.mean(error**2)))
+    assert numbers.contour.p95 == pytest.approx(np.percentile(error, 95))
+    assert numbers.contour.max == pytest.approx(error.max())
     force = np.linalg.norm(part["force"].values[cutting], axis=1)
     assert numbers.force_mean == pytest.approx(force.mean())
     assert numbers.removed_volume == pytest.approx(part["removed_volume"].sum())
@@ -139,7 +139,9 @@ def test_report_needs_no_other_file(full_run):
 
 def test_report_prints_the_headline(full_run, correction):
     text = read(full_run[1]).text
-    before, after = (case_numbers(correction, c) for c in ("uncorrected", "corrected"))
+    before, after = (
+        case_numbers(correction, c).contour for c in ("uncorrected", "corrected")
+    )
     assert f"{before.rms * 1e6:.0f} {MICROMETRE} contour error" in text
     assert f"{after.rms * 1e6:.2f} {MICROMETRE} contour error" in text
     assert f"{before.rms / after.rms:.1f} x" in text
@@ -182,7 +184,7 @@ def test_caption_says_whose_worst_places_are_magnified(
 def test_headline_is_that_of_the_chosen_case(tmp_path, correction):
     chosen = correction.assign_attrs(corrected_case="mirror")
     text = read(write_report(tmp_path, chosen, {})).text
-    rms = case_numbers(correction, "mirror").rms * 1e6
+    rms = case_numbers(correction, "mirror").contour.rms * 1e6
     assert f"{rms:.1f} {MICROMETRE} contour error (rms) after" in text
 
 
@@ -194,7 +196,7 @@ def test_the_error_of_the_written_program_stands_beside_that_of_the_command(
     assert "12.3" in text and "corrected.ngc" in text
     assert "written_rms_ngc" not in text
     # What is loaded counts, not the command that it was written from.
-    factor = case_numbers(correction, "uncorrected").rms / 12.34e-6
+    factor = case_numbers(correction, "uncorrected").contour.rms / 12.34e-6
     assert f"{factor:.3g} x smaller contour error of what is written" in text
 
 

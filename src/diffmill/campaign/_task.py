@@ -168,9 +168,9 @@ def _figures(task: Task) -> dict[str, dict[str, float]]:
     for index, case in enumerate(str(name) for name in cases):
         numbers = case_numbers(dataset, case)
         figures[case] = {
-            "error_rms": numbers.rms,
-            "error_p95": numbers.percentile_95,
-            "error_max": numbers.maximum,
+            "error_rms": numbers.contour.rms,
+            "error_p95": numbers.contour.p95,
+            "error_max": numbers.contour.max,
             "force_mean": numbers.force_mean,
             "force_max": numbers.force_maximum,
             "removed_volume": numbers.removed_volume,

@@ -100,13 +100,13 @@ def _with_written(
     """Return the dataset with the errors that the written programs leave; say them."""
     from ._written.corrected import written_errors
 
-    errors, lines = written_errors(run.job, run.final, folder, run.program)
+    contours, lines = written_errors(run.job, run.final, folder, run.program)
     found = {}
-    for name, left in errors.items():
+    for name, contour in contours.items():
         file, _, suffix = name.rpartition(".")
         kind = "written" if file == "corrected" else file
-        found[f"{kind}_rms_{suffix}"] = left.rms
-        found[f"{kind}_max_{suffix}"] = left.largest
+        found[f"{kind}_rms_{suffix}"] = contour.rms
+        found[f"{kind}_max_{suffix}"] = contour.max
     if not found:
         found["written_not_run"] = 1
     return _with_notes(run.dataset.assign_attrs(found), _said(lines, progress))

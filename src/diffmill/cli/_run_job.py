@@ -335,12 +335,21 @@ def _figures(
     """Return the headline figures of all cases in SI; None where there is none."""
     from ..viz import case_numbers
 
-    known = lambda x: None if isinstance(x, float) and not math.isfinite(x) else x
     cases = dataset["case"].values.tolist() if "case" in dataset.dims else ["predicted"]
-    numbers = {
-        name: {k: known(v) for k, v in vars(case_numbers(dataset, name)).items()}
-        for name in cases
-    }
+    numbers = {}
+    for name in cases:
+        case = case_numbers(dataset, name)
+        figures = {
+            "rms": case.contour.rms,
+            "percentile_95": case.contour.p95,
+            "maximum": case.contour.max,
+            "deviation_rms": case.deviation_rms,
+            "force_mean": case.force_mean,
+            "force_maximum": case.force_maximum,
+            "removed_volume": case.removed_volume,
+        }
+        known = {k: v if math.isfinite(v) else None for k, v in figures.items()}
+        numbers[name] = {"name": name, **known}
     return {
         "job": dataset.attrs["job"],
         "results": str(folder),

@@ -12,7 +12,11 @@ and the controller's own path deviation. The contour error of a path against the
 one is JAX code and differentiates; everything else runs once, on the host, in NumPy.
 """
 
-from ._contour import contour_error as contour_error, contour_vector as contour_vector
+from ._contour import (
+    ContourStatistics as ContourStatistics,
+    contour_error as contour_error,
+    contour_vector as contour_vector,
+)
 from ._moves import (
     Move as Move,
     Point as Point,

@@ -1,16 +1,64 @@
 """Contour error: how far the tool is from the desired path, whenever it gets there."""
 
 import functools
+import math
 from typing import TypeAlias
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._types import FloatRows3
+from .._types import BoolSteps, FloatRows3, FloatSteps
 
 Polyline: TypeAlias = Float[Array, "row 3"] | Float[np.ndarray, "row 3"]
+
+
+class ContourStatistics(eqx.Module):
+    """Mean, root mean square, 95th percentile and maximum of a contour error.
+
+    Attributes:
+        mean: Mean size of the error [m].
+        rms: Root mean square [m].
+        p95: 95 % of the rows have a smaller error [m].
+        max: Largest size of the error [m].
+    """
+
+    mean: float
+    rms: float
+    p95: float
+    max: float
+
+    @classmethod
+    def of(
+        cls, error: FloatSteps, weights: FloatSteps | BoolSteps | None = None
+    ) -> "ContourStatistics":
+        """Statistics of the rows whose weight is above zero.
+
+            mean = sum w |e| / sum w;  rms^2 = sum w e^2 / sum w
+
+        Args:
+            error: Contour error e, with or without sign [m], shape (step,).
+            weights: Weight w of each row, or whether it counts, shape (step,); None
+                counts all rows alike.
+
+        Returns:
+            The statistics; NaN where no row counts, or one that does is not finite.
+
+        **Differentiability**: runs on the host, not traceable.
+        """
+        size = np.abs(np.asarray(error, np.float64))
+        weight = np.ones_like(size) if weights is None else np.asarray(weights, float)
+        size, weight = size[weight > 0], weight[weight > 0]
+        if not size.size or not np.all(np.isfinite(size)):
+            return cls(math.nan, math.nan, math.nan, math.nan)
+        return cls(
+            mean=float(np.average(size, weights=weight)),
+            rms=float(np.sqrt(np.average(size**2, weights=weight))),
+            p95=float(np.percentile(size, 95)),
+            max=float(size.max()),
+        )
 
 
 def contour_vector(

@@ -10,6 +10,8 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float
 
+from ..toolpath import ContourStatistics
+
 if TYPE_CHECKING:
     import xarray
 
@@ -19,9 +21,7 @@ class CaseNumbers(eqx.Module):
 
     Attributes:
         name: Name of the case.
-        rms: Root mean square of the contour error over the steps that cut [m].
-        percentile_95: 95 % of the absolute contour errors lie below this [m].
-        maximum: Largest absolute contour error over the steps that cut [m].
+        contour: Contour error over the steps that cut.
         deviation_rms: Root mean square length of the deviation over those steps [m].
         force_mean: Mean over the steps that cut of the force's length [N].
         force_maximum: Largest length of the tooth-mean force [N].
@@ -29,9 +29,7 @@ class CaseNumbers(eqx.Module):
     """
 
     name: str = eqx.field(static=True)
-    rms: float
-    percentile_95: float
-    maximum: float
+    contour: ContourStatistics
     deviation_rms: float
     force_mean: float
     force_maximum: float
@@ -129,40 +127,32 @@ def is_diverging(dataset: "xarray.Dataset", case: str) -> bool:
     """
     if not case.startswith("mirror"):
         return False
-    before, after = (
-        case_numbers(dataset, name).rms for name in (reference_case(dataset), case)
-    )
+    before = case_numbers(dataset, reference_case(dataset)).contour.rms
+    after = case_numbers(dataset, case).contour.rms
     return bool(np.isfinite(before) and not after <= before)
 
 
 def case_numbers(dataset: "xarray.Dataset", case: str) -> CaseNumbers:
-    """Return the headline figures of one case; NaN where an input is absent."""
+    """Headline figures of one case; NaN where an input is absent."""
     cutting = cutting_of(dataset, case)
 
-    def column(name: str) -> Float[np.ndarray, " value"]:
+    def finite_lengths(name: str) -> Float[np.ndarray, " value"]:
         if name not in dataset:
-            return np.full(1, np.nan)
+            return np.zeros(0)
         values = values_of(dataset, name, case)
         length = np.linalg.norm(values, axis=1) if values.ndim == 2 else values
-        kept = length[cutting]
-        return (
-            kept[np.isfinite(kept)] if np.isfinite(kept).any() else np.full(1, np.nan)
-        )
+        return length[cutting & np.isfinite(length)]
 
-    contour, force = np.abs(column("contour_error")), column("force")
-    volume = (
-        values_of(dataset, "removed_volume", case)
-        if ("removed_volume" in dataset)
-        else np.full(1, np.nan)
-    )
+    force = ContourStatistics.of(finite_lengths("force"))
+    volume = np.full(1, np.nan)
+    if "removed_volume" in dataset:
+        volume = values_of(dataset, "removed_volume", case)
     return CaseNumbers(
         name=case,
-        rms=float(np.sqrt(np.mean(contour**2))),
-        percentile_95=float(np.percentile(contour, 95)),
-        maximum=float(np.max(contour)),
-        deviation_rms=float(np.sqrt(np.mean(column("deviation") ** 2))),
-        force_mean=float(np.mean(force)),
-        force_maximum=float(np.max(force)),
+        contour=ContourStatistics.of(finite_lengths("contour_error")),
+        deviation_rms=ContourStatistics.of(finite_lengths("deviation")).rms,
+        force_mean=force.mean,
+        force_maximum=force.max,
         removed_volume=float(np.nansum(volume))
         if np.isfinite(volume).any()
         else np.nan,

@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
+from ...toolpath import ContourStatistics
 from .moved_ends import WrittenFiles, moved_path, read_written
 
 if TYPE_CHECKING:
@@ -22,28 +23,16 @@ _WORTH_A_NOTE = 1.2
 _ROUNDED_AXIS = 1e-7
 
 
-class WrittenError(NamedTuple):
-    """What a written program leaves where the tool cuts.
-
-    Attributes:
-        rms: Root mean square contour error [m].
-        largest: Largest contour error [m].
-    """
-
-    rms: float
-    largest: float
-
-
 class WrittenErrors(NamedTuple):
-    """What written programs leave, and what is said of it.
+    """Contour errors of written programs, and lines about them.
 
     Attributes:
-        left: By name of file.
-        said: Lines about them.
+        contours: Contour error where the tool cuts, by name of file.
+        lines: Lines for the user.
     """
 
-    left: dict[str, WrittenError]
-    said: list[str]
+    contours: dict[str, ContourStatistics]
+    lines: list[str]
 
 
 def written_errors(
@@ -63,23 +52,23 @@ def written_errors(
     from ...io import OffsetStream
 
     job = job.with_precision()
-    own = _written_error(final, np.asarray(final.is_cutting)).rms
-    found, said = {}, []
+    own = final.contour.rms
+    contours, lines = {}, []
     for suffix in job.output.formats:
         name = f"corrected{suffix}"
         axis = job.output.tool_axis
         path = written_path(folder / name, float(job.tooth_period), tool_axis=axis)
         if path is None:
-            said.append(f"{name}: not run, since it states feeds instead of times")
+            lines.append(f"{name}: not run, since it states feeds instead of times")
             continue
-        found[name] = _run_written(job, final, path)
-        rms = found[name].rms
-        said.append(
+        contours[name] = _run_written(job, final, path)
+        rms = contours[name].rms
+        lines.append(
             f"{name}: read back and run, it leaves {rms * 1e6:.2f} um rms where the "
             f"tool cuts; its command leaves {own * 1e6:.2f} um"
         )
         if not rms <= _WORTH_A_NOTE * own:
-            said.append(
+            lines.append(
                 f"note: {name} leaves {rms / own:.2g} times the error of its command: "
                 "[output] tolerance is "
                 f"{job.output.tolerance * 1e6:g} um, a smaller one takes more blocks"
@@ -90,24 +79,24 @@ def written_errors(
             np.asarray(job.path.time) - float(job.path.time[0])
         )
         streamed = eqx.tree_at(lambda p: p.positions, job.path, tips)
-        found["stream.csv"] = left = _run_written(job, final, streamed)
-        said.append(
+        contours["stream.csv"] = contour = _run_written(job, final, streamed)
+        lines.append(
             f"stream.csv: read back, added to the program and run, it leaves "
-            f"{left.rms * 1e6:.2f} um rms where the tool cuts"
+            f"{contour.rms * 1e6:.2f} um rms where the tool cuts"
         )
     if program is not None:
         name = f"moved{program.suffix}"
         tips = moved_path(job, program, folder)
         if tips is None:
-            said.append(f"{name}: not run, since its arcs are written in pieces")
+            lines.append(f"{name}: not run, since its arcs are written in pieces")
         else:
             moved = eqx.tree_at(lambda p: p.positions, job.path, tips)
-            found[name] = left = _run_written(job, final, moved)
-            said.append(
-                f"{name}: read back, timed and run, it leaves {left.rms * 1e6:.2f} um "
-                "rms where the tool cuts"
+            contours[name] = contour = _run_written(job, final, moved)
+            lines.append(
+                f"{name}: read back, timed and run, it leaves {contour.rms * 1e6:.2f} "
+                "um rms where the tool cuts"
             )
-    return WrittenErrors(found, said)
+    return WrittenErrors(contours, lines)
 
 
 def written_path(
@@ -144,8 +133,8 @@ def written_path(
     )
 
 
-def _run_written(job: "Job", final: "Solution", path: "Path") -> WrittenError:
-    """Return the contour error that a path leaves instead of its command."""
+def _run_written(job: "Job", final: "Solution", path: "Path") -> ContourStatistics:
+    """Contour error of a path that stands for the command, where that one cuts."""
     import jax.numpy as jnp
 
     from ..._result import RESULTS
@@ -171,15 +160,7 @@ def _run_written(job: "Job", final: "Solution", path: "Path") -> WrittenError:
         quiet = lambda message, share: None
         solution = simulate_with_slot_growth(job, tips, ThroughPoses(), quiet).solution
     solution.raise_unless_successful(job)
-    return _written_error(solution, np.asarray(final.is_cutting))
-
-
-def _written_error(
-    solution: "Solution", is_cutting: Bool[np.ndarray, " step"]
-) -> WrittenError:
-    """Return the contour error where the tool cuts."""
-    error = np.asarray(solution.contour_error, np.float64)[is_cutting]
-    return WrittenError(float(np.sqrt(np.mean(error**2))), float(np.max(np.abs(error))))
+    return ContourStatistics.of(solution.contour_error, final.is_cutting)
 
 
 def _straightened(path: "Path") -> "Path":

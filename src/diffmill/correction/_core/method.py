@@ -10,7 +10,8 @@ from jaxtyping import Float
 from ..._result import RESULTS
 from ..._types import FloatRows
 from ...optimise import LeastSquaresStep
-from .error_metrics import Measures, measure
+from ...toolpath import ContourStatistics
+from .error_metrics import CommandStatistics, contour_statistics
 from .problem import Motion, Problem
 
 # Called now and then with a message and a measure of the error; True ends the run.
@@ -24,7 +25,8 @@ class MethodResult(eqx.Module):
         command: The corrected command, whole, shape (step, axis).
         motion: What the plant does with it.
         contour: Contour vectors [m], shape (step, 3).
-        measures: Headline figures.
+        measures: Contour error, by the weights of the rows; NaN where it is not finite.
+        command_statistics: Acceleration and offset of the command.
         forward_runs: Runs of the plant that the method needed, this last included.
         linearisations: Runs with their linear system, or with a gradient.
         history: Steps of the optimiser; empty for methods without one.
@@ -35,7 +37,8 @@ class MethodResult(eqx.Module):
     command: FloatRows
     motion: Motion
     contour: Float[np.ndarray, "step 3"]
-    measures: Measures
+    measures: ContourStatistics
+    command_statistics: CommandStatistics
     forward_runs: int
     linearisations: int
     history: tuple[LeastSquaresStep, ...]
@@ -124,15 +127,18 @@ def corrected(
         motion = problem.run(command)
         forward_runs += 1
     contour = np.asarray(problem.contour(motion), np.float64)
-    figures = measure(problem, command, contour)
+    if not np.any(np.asarray(problem.is_cutting) > 0):
+        raise ValueError("Argument `is_cutting` must mark a row, but marks none.")
+    measures = contour_statistics(problem, contour)
     return MethodResult(
         command=command,
         motion=motion,
         contour=contour,
-        measures=figures,
+        measures=measures,
+        command_statistics=CommandStatistics.of(problem, command),
         forward_runs=forward_runs,
         linearisations=linearisations,
         history=history,
         detail={} if detail is None else detail,
-        result=result if np.isfinite(figures.rms) else RESULTS.non_finite,
+        result=result if np.isfinite(measures.rms) else RESULTS.non_finite,
     )

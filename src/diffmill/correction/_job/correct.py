@@ -15,6 +15,7 @@ from ..._types import FloatRows, readable_signature
 from ...optimise import LeastSquaresStep
 from ...process import ThroughPoses
 from ...sim import JobKinematics, Solution, simulate_with_slot_growth
+from ...toolpath import ContourStatistics
 from ...workpiece import SurfaceError
 from .._core.method import AbstractMethod, GivenCommand, MethodResult
 from .._core.path_objective import AbstractObjective, check_objective
@@ -390,10 +391,12 @@ def _finished(task: _Task, record: CaseRecord) -> Correction:
         JointLimits(job).check(methods[chosen].command, is_joints=are_joints)
     cases = {name: _solution(task, name, found) for name, found in methods.items()}
     # What a method minimises also counts rows that only pass over the surface.
-    cuts = np.asarray(before.is_cutting, np.float64)
-    told = lambda found: found.measures.with_weights(cuts, found.contour)
+    cuts = np.asarray(before.is_cutting)
     methods = {
-        name: dataclasses.replace(found, measures=told(found))
+        name: dataclasses.replace(
+            found,
+            measures=ContourStatistics.of(np.linalg.norm(found.contour, axis=1), cuts),
+        )
         for name, found in methods.items()
     }
     parts = PathParts.of_path(

@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from ..._types import FloatRows
 from ...numerics import lowpass
-from .._core.error_metrics import rms_contour
+from .._core.error_metrics import contour_statistics
 from .._core.method import AbstractMethod, MethodResult, OnProgress, corrected
 from .._core.problem import Motion, Problem
 from .._spline.projection import clip_offset
@@ -92,7 +92,8 @@ class IteratedMirror(AbstractMethod):
         motion = self.before if start is None else None
         if motion is None:
             motion = problem.run(command)
-        error = rms_contour(problem, problem.contour(motion))
+        error = contour_statistics(problem, problem.contour(motion)).rms
+        error = error if np.isfinite(error) else np.inf
         zero = _Iterate(command, error, 0, 0.0, 0.0)
         first = _deviation(problem, motion)
         best, runs = zero, 1
@@ -206,7 +207,7 @@ def _branch(
         motion = problem.run(command)
         runs += 1
         deviation = _deviation(problem, motion)
-        error = rms_contour(problem, problem.contour(motion))
+        error = contour_statistics(problem, problem.contour(motion)).rms
         if not np.isfinite(error) or not np.all(np.isfinite(deviation)):
             break
         if error < best.error:

@@ -8,6 +8,7 @@ import numpy as np
 from ..._job import Job, parameter_uncertainty
 from ..._result import RESULTS
 from ...process import FrozenStock
+from ...toolpath import ContourStatistics
 from .._job.simulate import Solution
 
 
@@ -71,8 +72,7 @@ def mismatch(job: Job, solution: Solution, share: float = 0.1) -> tuple[Mismatch
         )
         if bool(run.result != RESULTS.successful):
             return np.nan
-        error = np.asarray(run.contour_error)[cuts]
-        return float(np.sqrt(np.mean(error**2))) if error.size else 0.0
+        return ContourStatistics.of(run.contour_error, cuts).rms if cuts.any() else 0.0
 
     return tuple(
         Mismatch(kind, share, rms_error(kind, 1 - share), rms_error(kind, 1 + share))

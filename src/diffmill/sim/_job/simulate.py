@@ -27,7 +27,7 @@ from ...process import (
     wall_shares,
 )
 from ...robot import Controller
-from ...toolpath import Path, contour_error
+from ...toolpath import ContourStatistics, Path, contour_error
 from ...workpiece import Pose, Stock
 from .._machine._integrator.choose import make_integrator
 from .._machine.commands import JobKinematics
@@ -199,22 +199,30 @@ class Solution(eqx.Module):
         """Return actual - desired [m], shape (step, 3)."""
         return self.actual - self.desired
 
+    @property
+    def contour(self) -> ContourStatistics:
+        """Contour error where the rigid tool cuts, on the host: rms, p95 and max [m].
+
+        NaN where nothing is cut.
+        """
+        return ContourStatistics.of(self.contour_error, self.is_cutting)
+
     def __repr__(self) -> str:
         """Error, force, volume and outcome, in five lines."""
         read = (self.time, self.contour_error, self.stock.families[0].ends)
         if not has_values(*read) or is_traced(self) or self.time.ndim > 1:
             return f"Solution(rows of {getattr(self.time, 'shape', None)})"
         rows = self.time.shape[-1]
-        error = 1e6 * np.asarray(self.contour_error)[np.asarray(self.is_cutting)]
+        cut_rows = int(np.sum(np.asarray(self.is_cutting)))
         force = np.linalg.norm(np.asarray(self.force), axis=1)
         cut = "nothing is cut"
-        if error.size:
-            rms, most = np.sqrt(np.mean(error**2)), error[np.argmax(np.abs(error))]
-            cut = f"contour error {rms:.2f} um rms, {abs(most):.2f} um at most"
+        if cut_rows:
+            rms, largest = 1e6 * self.contour.rms, 1e6 * self.contour.max
+            cut = f"contour error {rms:.2f} um rms, {largest:.2f} um at most"
         outcome = RESULTS[self.result] if self.result != RESULTS.successful else ""
         return (
             f"Solution of {rows} rows in {float(self.time[-1]):.3f} s\n"
-            f"  where the tool cuts, {error.size} rows: {cut}\n"
+            f"  where the tool cuts, {cut_rows} rows: {cut}\n"
             f"  force: {force.max():.1f} N at most, mean over a tooth period\n"
             f"  removed: {1e9 * float(np.sum(self.removed_volume)):.1f} mm^3, "
             f"left: {1e9 * float(self.stock.volume()):.1f} mm^3\n"

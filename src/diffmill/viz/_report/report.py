@@ -186,10 +186,10 @@ def _lead(dataset: "xarray.Dataset", numbers: dict[str, CaseNumbers]) -> str:
     span = f"{time[-1] - time[0]:.2f} s of milling" if time.size else "no step"
     before = numbers[reference_case(dataset)]
     text = f"{span}, {steps} tooth periods. The tool misses its desired line by "
-    text += f"{_length(before.rms)} (rms while cutting)"
+    text += f"{_length(before.contour.rms)} (rms while cutting)"
     chosen = _chosen(dataset)
     if chosen:
-        after = _length(numbers[chosen].rms)
+        after = _length(numbers[chosen].contour.rms)
         text += f"; with the corrected program by {after}"
     for name, rms in written_errors(dataset, "rms").items():
         text += f", as written in {name} by {_length(rms)}"
@@ -203,23 +203,23 @@ def _headline(
     before = numbers[reference_case(dataset)]
     is_given = "is_commanded" in dataset.attrs
     command = "with the given command" if is_given else "as programmed"
-    items = [LargeNumber(_length(before.rms), f"contour error (rms) {command}")]
+    items = [LargeNumber(_length(before.contour.rms), f"contour error (rms) {command}")]
     chosen = _chosen(dataset)
     if chosen:
-        after = numbers[chosen]
+        after = numbers[chosen].contour.rms
         text = "contour error (rms) after correction"
-        items.append(LargeNumber(_length(after.rms), text))
+        items.append(LargeNumber(_length(after), text))
         items += [
             LargeNumber(_length(rms), f"contour error (rms) of {name}, read and run")
             for name, rms in written_errors(dataset, "rms").items()
         ]
         # What is loaded into the machine counts: programs are written to a tolerance.
-        left = float(np.max([after.rms, *loaded_errors(dataset, "rms").values()]))
-        whose = "" if left <= after.rms else " of what is written"
+        left = float(np.max([after, *loaded_errors(dataset, "rms").values()]))
+        whose = "" if left <= after else " of what is written"
         text = f"smaller contour error{whose}"
-        items.append(LargeNumber(_times(before.rms, left), text))
+        items.append(LargeNumber(_times(before.contour.rms, left), text))
     else:
-        items.append(LargeNumber(_length(before.maximum), "largest contour error"))
+        items.append(LargeNumber(_length(before.contour.max), "largest contour error"))
     force = f"{_number(before.force_mean)} N"
     items.append(LargeNumber(force, "mean cutting force"))
     return items
@@ -233,9 +233,9 @@ def _result_blocks(dataset: "xarray.Dataset") -> list[str]:
     rows = [
         [
             case_style(item.name).label,
-            _um(item.rms),
-            _um(item.percentile_95),
-            _um(item.maximum),
+            _um(item.contour.rms),
+            _um(item.contour.p95),
+            _um(item.contour.max),
             _gain(dataset, item, reference),
             _um(item.deviation_rms),
             _number(item.force_mean),
@@ -244,7 +244,7 @@ def _result_blocks(dataset: "xarray.Dataset") -> list[str]:
         ]
         for item in numbers
     ]
-    rms = np.array([item.rms for item in numbers])
+    rms = np.array([item.contour.rms for item in numbers])
     best = int(np.nanargmin(rms)) if len(names) > 1 and np.isfinite(rms).any() else None
     table = table_html(
         [
@@ -279,8 +279,8 @@ def _gain(dataset: "xarray.Dataset", item: CaseNumbers, reference: CaseNumbers) 
     if item is reference:
         return "-"
     if is_diverging(dataset, item.name):
-        return f"diverges ({_times(reference.rms, item.rms)})"
-    return _times(reference.rms, item.rms)
+        return f"diverges ({_times(reference.contour.rms, item.contour.rms)})"
+    return _times(reference.contour.rms, item.contour.rms)
 
 
 def _chosen(dataset: "xarray.Dataset") -> str:
@@ -294,7 +294,8 @@ def _machine(dataset: "xarray.Dataset", job: Job | None) -> list[str]:
     if job is None or not _chosen(dataset):
         return []
     chosen, reference = _chosen(dataset), reference_case(dataset)
-    if case_numbers(dataset, chosen).rms > case_numbers(dataset, reference).rms:
+    rms = lambda case: case_numbers(dataset, case).contour.rms
+    if rms(chosen) > rms(reference):
         return ["Nothing to load: the corrected command is worse than the program."]
     return machine_lines(job, written_errors(dataset, "rms"))
 

@@ -29,11 +29,13 @@ def summary(
     rows = [f"{name}: contour error where the tool cuts [um], force [N]"]
     rows.append(f"{'case':16}{'rms':>10}{'95 %':>10}{'max':>10}{'mean force':>12}")
     for case in case_names(dataset):
-        found = case_numbers(dataset, case)
-        errors = (found.rms, found.percentile_95, found.maximum)
-        numbers = "".join(_cell(value * 1e6, 10) for value in errors)
+        numbers = case_numbers(dataset, case)
+        contour = numbers.contour
+        errors = "".join(
+            _cell(value * 1e6, 10) for value in (contour.rms, contour.p95, contour.max)
+        )
         mark = "  diverges" if is_diverging(dataset, case) else ""
-        rows.append(f"{case:16}{numbers}{_cell(found.force_mean, 12)}{mark}")
+        rows.append(f"{case:16}{errors}{_cell(numbers.force_mean, 12)}{mark}")
     unsettled = unsettled_text(dataset)
     rows += [*_surface(dataset), *_parts(dataset), *_mirror(dataset)]
     rows += [f"note: {unsettled}"] if unsettled else []
