@@ -321,7 +321,7 @@ def compiled_high():
 def walls(run, mirror=1):
     """Return the points of a slot's walls, ordered by height, way and side."""
     assert run.result == RESULTS.successful
-    points = run.stock.ray_ends(1)[0] * [1, mirror, 1]
+    points = run.stock.ray_ends(1).points * [1, mirror, 1]
     is_wall = (np.abs(points[:, 1]) < 2.9e-3) & (np.abs(points[:, 0] - 2e-3) < 1e-3)
     x, y, z = points[is_wall].T
     return points[is_wall][np.lexsort((y, x, z))]

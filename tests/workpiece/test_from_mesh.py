@@ -64,7 +64,7 @@ def test_ray_ends_of_a_sphere_lie_on_its_triangles(tmp_path):
     middles = ball.vertices[ball.faces].mean(axis=1)
     inner = np.linalg.norm(middles, axis=1).min() * 1e-3
     for family in range(3):
-        radius = np.linalg.norm(stock.ray_ends(family)[0], axis=1)
+        radius = np.linalg.norm(stock.ray_ends(family).points, axis=1)
         assert radius.max() < 5e-3 + 1e-9
         assert radius.min() > inner - 1e-6
     np.testing.assert_allclose(stock.volumes(), ball.volume * 1e-9, rtol=5e-3)

@@ -47,8 +47,9 @@ def test_subtracting_matches_a_loop_over_pieces():
     poses = jnp.full(ends.shape, -1, jnp.int32)
     started, stopped = (jnp.full(500, when, jnp.int32) for when in (7, 8))
     cut = wp.CutInterval(start, stop, jnp.ones(500, bool), started, stopped)
-    new, by, full = subtract(ends, poses, cut)
-    assert not full.any()
+    found = subtract(ends, poses, cut)
+    new, by = found.ends, found.cut_by
+    assert not found.is_full.any()
     for i, pieces in enumerate(wanted):
         np.testing.assert_allclose(live(np.asarray(new[i])), pieces)
     # Ends that moved, and only those, carry the time of the end that moved them.
@@ -66,9 +67,9 @@ def test_a_ray_without_a_free_slot_raises_its_flag():
     pose = jnp.zeros(1, jnp.int32)
     low, high, far = jnp.array([0.4]), jnp.array([0.6]), jnp.array([1.6])
     inside = wp.CutInterval(low, high, yes, pose, pose)
-    assert subtract(ends, poses, inside)[2].all()
+    assert subtract(ends, poses, inside).is_full.all()
     across = wp.CutInterval(low, far, yes, pose, pose)
-    assert not subtract(ends, poses, across)[2].any()
+    assert not subtract(ends, poses, across).is_full.any()
 
 
 def test_slivers_are_dropped():
@@ -77,7 +78,7 @@ def test_slivers_are_dropped():
     pose = jnp.zeros(1, jnp.int32)
     low, high = jnp.array([0.5e-9]), jnp.array([0.5])
     cut = wp.CutInterval(low, high, jnp.ones(1, bool), pose, pose)
-    new, _, _ = subtract(ends, poses, cut)
+    new = subtract(ends, poses, cut).ends
     assert live(np.asarray(new[0])) == [(0.5, 1.0)]
 
 
@@ -112,9 +113,9 @@ def test_a_slot_has_its_exact_volume_and_every_step_counts():
 def test_no_ray_is_left_inside_any_pose_and_none_is_cut_outside():
     _, after, _, tips = cut_block(0.1e-3)
     for family in range(3):
-        points, sign = after.ray_ends(family)
+        ends = after.ray_ends(family)
         # A point a hair inside the material must lie outside every pose.
-        points = points.copy()
+        points, sign = ends.points.copy(), ends.signs
         points[:, family] -= sign * 1e-7
         away = points[:, None, :] - tips[None]
         inside = (np.hypot(away[..., 0], away[..., 1]) < 2e-3) & (away[..., 2] > 0)

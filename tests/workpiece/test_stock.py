@@ -14,7 +14,8 @@ def test_ray_ends_lie_on_the_faces():
     low, high = np.array([1e-3, -2e-3, -1e-3]), np.array([3e-3, 1e-3, 0.5e-3])
     stock = wp.box(low, high, 0.25e-3)
     for family in range(3):
-        points, sign = stock.ray_ends(family)
+        ends = stock.ray_ends(family)
+        points, sign = ends.points, ends.signs
         np.testing.assert_allclose(points[sign < 0, family], low[family])
         np.testing.assert_allclose(points[sign > 0, family], high[family])
         others = np.delete(points, family, axis=1)

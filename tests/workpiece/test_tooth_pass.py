@@ -56,13 +56,9 @@ def looks_at(mill, x, y, height):
 
 
 def cut_ends(stock, family):
-    """Return ends that the tooth made, and the times that they remember."""
-    rays = stock.families[family]
-    points, _ = stock.ray_ends(family)
-    low, high = rays.ends[:, :, 0], rays.ends[:, :, 1]
-    is_live = np.broadcast_to(np.asarray(high > low)[:, :, None], rays.ends.shape)
-    ticks = np.asarray(rays.poses)[is_live]
-    return points[ticks >= 0], ticks[ticks >= 0] / wp.Rays.TICKS
+    """Ends that the tooth made, and the times that they remember."""
+    ends = stock.ray_ends(family)
+    return ends.points[ends.is_cut], ends.poses[ends.is_cut] / wp.Rays.TICKS
 
 
 @pytest.mark.parametrize("family", [0, 1])

@@ -38,7 +38,7 @@ class StockFileError(ValueError):
 
 
 def load_mesh(path: str | os.PathLike[str], *, unit: MeshUnit = "mm") -> Mesh:
-    """Return a closed mesh from a file.
+    """Closed mesh from a file.
 
     Nothing but the file itself is read: materials and textures that it names are not.
 
@@ -118,7 +118,7 @@ def from_mesh(
     interval_counts: Sequence[int] | None = None,
     dtype: type | jnp.dtype | None = None,
 ) -> Stock:
-    """Return the solid that a closed mesh bounds as stock, in the place where it is.
+    """Stock of the solid that a closed mesh bounds, in its place.
 
     Args:
         path_or_mesh: An STL, OBJ or PLY file, or a mesh; a closed surface, all
@@ -200,13 +200,13 @@ def load_stock(
     is_raw: bool = True,
     dtype: type | jnp.dtype | None = None,
 ) -> Stock:
-    """Return a stock that `save` or a run wrote (`stock.npz`).
+    """Stock that `save` or a run wrote (`stock.npz`).
 
     Args:
         path: The .npz file.
-        is_raw: Whether to return it as raw stock for another run: its ends forget the
-            poses that cut them, which mean nothing to another path, and its top is the
-            highest material that is left. Otherwise as it was saved.
+        is_raw: True for raw stock of another run: its ends forget the poses that cut
+            them, which mean nothing to another path, and its top is the highest
+            remaining material. False for the stock as it was saved.
         dtype: Floating type; JAX's default if not given.
 
     Returns:
@@ -219,8 +219,8 @@ def load_stock(
     try:
         with zipfile.ZipFile(path) as archive:
             check_headers(_headers(archive))
-        with np.load(path, allow_pickle=False) as found:
-            arrays = {key: found[key] for key in found.files}
+        with np.load(path, allow_pickle=False) as archive:
+            arrays = {key: archive[key] for key in archive.files}
         return stock_of_arrays(arrays, is_raw=is_raw, dtype=dtype)
     except OSError as error:
         raise StockFileError(f"{name}: cannot be read: {error}") from error
@@ -232,22 +232,22 @@ def load_stock(
 
 
 def _is_text_stl(data: bytes, suffix: str) -> bool:
-    """Return whether an STL is text; a binary one may begin with solid too."""
+    """True if the data is an STL in text; a binary one may begin with solid too."""
     is_solid = data[:80].lstrip()[:5].lower() == b"solid"
     return suffix == ".stl" and is_solid and b"facet" in data[:2000].lower()
 
 
 def _count_fault(data: bytes, suffix: str) -> str | None:
-    """Return what is wrong with the number of triangles of a binary STL, or None."""
+    """Fault of the number of triangles of a binary STL; None if there is none."""
     if suffix != ".stl" or _is_text_stl(data, suffix) or len(data) < _STL_HEADER:
         return None
     count = int.from_bytes(data[_STL_HEADER - 4 : _STL_HEADER], "little")
     whole, more = divmod(len(data) - _STL_HEADER, _STL_TRIANGLE)
     if count == whole:
         return None
-    rest = f" and {more} bytes" * (more > 0)
+    surplus = f" and {more} bytes" * (more > 0)
     return (
-        f"the header of the binary STL counts {count} triangles, but {whole}{rest} "
+        f"the header of the binary STL counts {count} triangles, but {whole}{surplus} "
         "follow: the file is cut off, or its writer left the count out"
     )
 
@@ -263,7 +263,7 @@ def _silenced(log: logging.Logger) -> Iterator[None]:
 
 
 def _headers(archive: zipfile.ZipFile) -> dict[str, jax.ShapeDtypeStruct]:
-    """Return shape and type of each array without reading what it holds."""
+    """Shape and type of each array of an archive, whose numbers are not read."""
     headers = {}
     for entry in archive.infolist():
         with archive.open(entry) as file:
@@ -294,7 +294,7 @@ def _scale(unit: str) -> float:
 
 
 def _suffix(path: str | os.PathLike[str], *others: str) -> str:
-    """Return the suffix of a mesh file; others would have been allowed, too."""
+    """Suffix of a mesh file; a refusal names `others` as allowed, too."""
     suffix = Path(path).suffix.lower()
     if suffix not in _SUFFIXES:
         raise StockFileError(

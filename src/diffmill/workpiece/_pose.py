@@ -12,7 +12,7 @@ from jaxtyping import Array, Float, Int, Shaped
 def gathered_rows(
     table: Shaped[Array, "row ..."], at: Int[Array, "..."]
 ) -> Shaped[Array, "..."]:
-    """Return some rows of a table, unchecked.
+    """Some rows of a table, unchecked.
 
     Args:
         table: The table.
@@ -39,13 +39,13 @@ class Pose(eqx.Module):
         positions: Float[Array, "step 3"],
         axes: Float[Array, "step 3"] | Float[np.ndarray, "step 3"] | None,
     ) -> "Pose":
-        """Return the poses of a path, which stands upright without axes."""
+        """Poses of a path, which stands upright without axes."""
         if axes is not None:
             axes = jnp.asarray(axes, positions.dtype)
         return cls(positions, axes)
 
     def direction(self) -> Float[Array, "*pose 3"]:
-        """Return the axis, also where it is +z and not kept, same shape."""
+        """Unit vector from tip to shank, also where `axis` is None, same shape."""
         if self.axis is not None:
             return self.axis
         up = jnp.asarray([0.0, 0.0, 1.0], self.tip.dtype)
@@ -53,11 +53,11 @@ class Pose(eqx.Module):
         return jnp.broadcast_to(up, self.tip.shape)
 
     def __getitem__(self, item) -> "Pose":
-        """Return some of the poses."""
+        """Some of the poses."""
         return jax.tree.map(lambda x: x[item], self)
 
     def gather(self, at: Int[Array, "*some"]) -> "Pose":
-        """Return some of the poses of a table, shape (*some, 3), unchecked.
+        """Some poses of a table, shape (*some, 3), unchecked.
 
         Args:
             at: Their indices, from 0 to below the number of poses.
@@ -65,17 +65,17 @@ class Pose(eqx.Module):
         return jax.tree.map(lambda x: gathered_rows(x, at), self)
 
     def frozen(self) -> "Pose":
-        """Return the same poses as constants."""
+        """Same poses as constants."""
         return jax.tree.map(jax.lax.stop_gradient, self)
 
     def repeated(self, *counts: int) -> "Pose":
-        """Return one pose, shape (3,), many times, shape (*counts, 3)."""
+        """One pose, shape (3,), many times, shape (*counts, 3)."""
         return jax.tree.map(
             lambda x: jnp.broadcast_to(x[(None,) * len(counts)], (*counts, 3)), self
         )
 
     def with_rows(self, first: Array, rows: "Pose") -> "Pose":
-        """Return the table with some rows replaced, from a row on."""
+        """Table with some rows replaced, from a row on."""
         at = (first, jnp.zeros_like(first))
         return jax.tree.map(
             lambda table, new: jax.lax.dynamic_update_slice(table, new, at), self, rows
@@ -84,7 +84,7 @@ class Pose(eqx.Module):
     @staticmethod
     @functools.partial(jax.jit, inline=True)
     def frame(axis: Float[Array, "*pose 3"]) -> Float[Array, "*pose 3 3"]:
-        """Return tool x, y and z as columns; x as near to work x as the axis allows.
+        """Tool x, y and z as columns; x as near to work x as the axis allows.
 
         Args:
             axis: Unit vectors from tip to shank, shape (*pose, 3).

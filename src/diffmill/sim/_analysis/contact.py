@@ -241,8 +241,8 @@ def _chunk(
             when = jnp.zeros(start.shape, jnp.int32)
             interval = CutInterval(start, stop, is_hit, when, when)
             unknown = jnp.zeros(part.shape, jnp.int32)
-            new, _, is_full = interval.subtract_from(part, unknown)
-            return new, jnp.any(is_full)
+            pieces = interval.subtract_from(part, unknown)
+            return pieces.ends, jnp.any(pieces.is_full)
 
         whole = lambda: (part, jnp.zeros((), bool))
         part, is_full = jax.lax.cond(sample.is_cut, cut, whole)

@@ -63,7 +63,14 @@ class CutDexels(eqx.Module):
         Returns:
             Upper ends of z rays and both ends of x rays, where a pose made them.
         """
-        _require_same_grid(stock, ideal)
+        origins = np.asarray(stock.origin), np.asarray(ideal.origin)
+        if stock.grid_shape != ideal.grid_shape or not np.allclose(
+            *origins, rtol=0.0, atol=1e-9
+        ):
+            raise ValueError(
+                "Argument `ideal` must have the grid of rays of `stock`, "
+                f"{stock.grid_shape}, but has {ideal.grid_shape} or another origin."
+            )
         return cls(
             _cut_ends(stock, 2, is_upper_only=True),
             _cut_ends(ideal, 2, is_upper_only=True),
@@ -73,7 +80,7 @@ class CutDexels(eqx.Module):
         )
 
     def floor_error(self) -> Float[np.ndarray, " point"]:
-        """Return how far each end of the floor is above the ideal one [m].
+        """Height of each end of the floor above the ideal one [m], shape (point,).
 
         NaN where the ray has no ideal end near it.
         """
@@ -82,7 +89,7 @@ class CutDexels(eqx.Module):
         )
 
     def wall_error(self) -> Float[np.ndarray, " wall"]:
-        """Return how far each end of the walls is from the ideal one along x [m].
+        """Distance of each end of the walls from the ideal one along x [m].
 
         NaN where the ray has no ideal end near it.
         """
@@ -106,7 +113,7 @@ def _ray_errors(
     ideal: Float[np.ndarray, "other 3"],
     axis: int,
 ) -> Float[np.ndarray, " point"]:
-    """Return how far each ray end is from the nearest ideal end on its ray.
+    """Distance of each ray end from the nearest ideal end on its ray [m].
 
     Args:
         points: Ends in the final stock [m], shape (point, 3).
@@ -150,24 +157,8 @@ def _cut_ends(
 ) -> Float[np.ndarray, "end 3"]:
     """Return the ends of one family that remember a tool pose."""
     ends = stock.ray_ends(family)
-    points, side = ends.points, ends.signs
-    rays = stock.families[family]
-    ends = np.asarray(rays.ends)
-    is_live = np.broadcast_to((ends[:, :, 1] > ends[:, :, 0])[:, :, None], ends.shape)
-    is_cut = np.asarray(rays.poses)[is_live] >= 0
-    if is_upper_only:
-        is_cut &= side > 0
-    return np.asarray(points[is_cut], dtype=np.float64)
-
-
-def _require_same_grid(stock: Stock, ideal: Stock) -> None:
-    if stock.grid_shape != ideal.grid_shape or not np.allclose(
-        np.asarray(stock.origin), np.asarray(ideal.origin), rtol=0.0, atol=1e-9
-    ):
-        raise ValueError(
-            "Argument `ideal` must have the grid of rays of `stock`, "
-            f"{stock.grid_shape}, but has {ideal.grid_shape} or another origin."
-        )
+    is_counted = ends.is_cut & (ends.signs > 0) if is_upper_only else ends.is_cut
+    return ends.points[is_counted]
 
 
 def plot_cut_dexels(dexels: CutDexels) -> "matplotlib.figure.Figure":
@@ -197,10 +188,10 @@ def _draw_floor(figure: "matplotlib.figure.SubFigure", dexels: CutDexels) -> Non
 
     axes: Any = figure.add_subplot(projection="3d")
     error = dexels.floor_error()
-    kept = np.flatnonzero(np.isfinite(error))
-    kept = kept[:: max(1, -(-kept.size // _POINTS_DRAWN))]
-    points, error = dexels.floor[kept], error[kept]
-    sides = np.ptp(points[:, :2], axis=0) if kept.size else np.ones(2)
+    drawn = np.flatnonzero(np.isfinite(error))
+    drawn = drawn[:: max(1, -(-drawn.size // _POINTS_DRAWN))]
+    points, error = dexels.floor[drawn], error[drawn]
+    sides = np.ptp(points[:, :2], axis=0) if drawn.size else np.ones(2)
     limit = spread(error, 99.0) or 1e-6
     # Four limits fill the drawn height, which is a quarter of the longer side.
     factor = round_factor(0.25 * float(sides.max()) / (3.0 * limit))
@@ -217,7 +208,7 @@ def _draw_floor(figure: "matplotlib.figure.SubFigure", dexels: CutDexels) -> Non
         depthshade=False,
         rasterized=True,
     )
-    depth = float(np.ptp(points[:, 2])) if kept.size else 0.0
+    depth = float(np.ptp(points[:, 2])) if drawn.size else 0.0
     spans = [*(sides * 1e3), max(depth, factor * 3 * limit) * 1e3]
     axes.set_box_aspect([max(span, 1e-3) for span in spans], zoom=1.35)
     axes.view_init(elev=32, azim=-62)
@@ -248,8 +239,8 @@ def _draw_floor(figure: "matplotlib.figure.SubFigure", dexels: CutDexels) -> Non
 def _draw_wall(axes: "matplotlib.axes.Axes", dexels: CutDexels) -> None:
     """Draw the wall that has most ray ends: its x error along y."""
     error = dexels.wall_error()
-    kept = np.isfinite(error)
-    points, error = dexels.wall[kept], error[kept]
+    is_known = np.isfinite(error)
+    points, error = dexels.wall[is_known], error[is_known]
     plane_um = np.round((points[:, 0] - error) * 1e6).astype(np.int64)
     planes, counts = np.unique(plane_um, return_counts=True)
     if not planes.size:

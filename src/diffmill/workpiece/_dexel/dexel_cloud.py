@@ -26,8 +26,8 @@ class RemovedPieces(eqx.Module):
     Attributes:
         low: Lowest end that is taken [m], shape (b, c); finite but without meaning
             where nothing is.
-        high: Highest end that is taken [m], shape (b, c), likewise.
-        is_taken: Whether anything is, shape (b, c).
+        high: Highest end that is taken [m], shape (b, c), with the same limit.
+        is_taken: True if the ray loses anything, shape (b, c).
         b: Coordinate of the rays along axis (family + 1) % 3 [m], shape (b,).
         c: Coordinate of the rays along axis (family + 2) % 3 [m], shape (c,).
     """
@@ -45,7 +45,7 @@ class RemovedPieces(eqx.Module):
         window: RemovalWindow,
         tip: Float[Array, " 3"],
     ) -> "tuple[RemovedPieces, RemovedPieces, RemovedPieces]":
-        """Return what the tool would take from the stock, which stays as it is.
+        """Pieces that the tool would take from the stock, which stays as it is.
 
         Args:
             stock: The workpiece.
@@ -54,7 +54,7 @@ class RemovedPieces(eqx.Module):
             tip: Tool tip in `work` [m], shape (3,).
 
         Returns:
-            What is taken from the rays along x, y and z.
+            Pieces of the rays along x, y and z.
 
         Differentiability: in the ends of the stock and in the tip, as long as the same
         interval of a ray holds its outermost end.

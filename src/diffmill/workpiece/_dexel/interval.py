@@ -1,7 +1,6 @@
 """An interval that is cut from each ray, and the pieces that it leaves."""
 
-from typing import NamedTuple
-
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
@@ -12,13 +11,13 @@ from .stock import Rays
 SHORTEST = 1e-9
 
 
-class RemainingPieces(NamedTuple):
-    """What is left of rays.
+class RemainingPieces(eqx.Module):
+    """Pieces of rays that a cut leaves.
 
     Attributes:
         ends: Lower and upper ends [m], shape (..., 2, slot).
-        cut_by: When these ends were cut, in ticks, same shape.
-        is_full: Whether a piece found no free slot, shape (...).
+        cut_by: Ticks at which these ends were cut, same shape.
+        is_full: True if a piece found no free slot, shape (...).
     """
 
     ends: Float[Array, "*ray 2 slot"]
@@ -26,15 +25,15 @@ class RemainingPieces(NamedTuple):
     is_full: Bool[Array, "*ray"]
 
 
-class CutInterval(NamedTuple):
-    """What is cut from rays.
+class CutInterval(eqx.Module):
+    """Interval that a tool cuts from each ray.
 
     Attributes:
         start: Lower end [m], shape (...).
         stop: Upper end [m], same shape.
-        is_cut: Whether there is a cut, same shape.
-        started: When the lower end was cut, in ticks, same shape.
-        stopped: When the upper end was cut, in ticks, same shape.
+        is_cut: True if the tool cuts the ray, same shape.
+        started: Tick at which the lower end was cut, same shape.
+        stopped: Tick at which the upper end was cut, same shape.
     """
 
     start: Float[Array, "..."]
@@ -48,19 +47,22 @@ class CutInterval(NamedTuple):
         ends: Float[Array, "*ray 2 slot"],
         poses: Int[Array, "*ray 2 slot"],
     ) -> RemainingPieces:
-        """Remove what is cut from each ray.
+        """Pieces of the rays without the interval.
 
         Args:
             ends: Lower and upper ends [m], shape (..., 2, slot).
-            poses: When these ends were cut, in ticks, shape (..., 2, slot).
+            poses: Ticks at which these ends were cut, shape (..., 2, slot).
 
         Differentiability: smooth in both ends wherever the order of the ends does not
         change.
         """
         low, high = ends[..., 0, :], ends[..., 1, :]
-        start, stop, is_cut, started, stopped = (x[..., None] for x in self)
+        start, stop, is_cut = (
+            x[..., None] for x in (self.start, self.stop, self.is_cut)
+        )
+        started, stopped = self.started[..., None], self.stopped[..., None]
 
-        # Each branch computes what is met anew: it is cheaper than to hand it over.
+        # Each branch computes `is_met` anew: it is cheaper than to hand it over.
         def trim() -> RemainingPieces:
             is_met = is_cut & (high > low) & (start < high) & (stop > low)
             keeps_low = is_met & (low < start - SHORTEST)
@@ -89,13 +91,13 @@ class CutInterval(NamedTuple):
             slots = jnp.arange(low.shape[-1]).reshape((1,) * (low.ndim - 1) + (-1,))
             takes = (needs & ~is_live & (slots == free))[..., None, :]
             # A sum, of which reverse mode keeps no more than which piece it was.
-            rest = jnp.sum(jnp.where(splits, high, 0), axis=-1, keepdims=True)
+            upper_end = jnp.sum(jnp.where(splits, high, 0), axis=-1, keepdims=True)
             least = jnp.iinfo(poses.dtype).min
-            rest_pose = jnp.where(splits, poses[..., 1, :], least)
-            rest_pose = jnp.max(rest_pose, axis=-1, keepdims=True)
+            upper_pose = jnp.where(splits, poses[..., 1, :], least)
+            upper_pose = jnp.max(upper_pose, axis=-1, keepdims=True)
             return RemainingPieces(
-                jnp.where(takes, _two(stop, rest), trimmed.ends),
-                jnp.where(takes, _two(stopped, rest_pose), trimmed.cut_by),
+                jnp.where(takes, _two(stop, upper_end), trimmed.ends),
+                jnp.where(takes, _two(stopped, upper_pose), trimmed.cut_by),
                 needs[..., 0] & jnp.all(is_live, axis=-1),
             )
 

@@ -9,7 +9,7 @@ from ...numerics import clamp, ramp
 def mean_step(
     x: Float[Array, "*n"], width: Float[Array, "*n"], length: Float[Array, "*n"]
 ) -> Float[Array, "*n"]:
-    """Return the mean of `hat_integral(. / width)` over a length around x.
+    """Mean of `hat_integral(. / width)` over a length around x [-].
 
     Pieces in a row tile a line.
 
@@ -28,7 +28,7 @@ def mean_step(
 
 
 def hat_moment(x: Float[Array, "*n"]) -> Float[Array, "*n"]:
-    """Return the moment of that part of a hat of half-width 1 which lies above x.
+    """Moment of that part of a hat of half-width 1 which lies above x [-].
 
     Args:
         x: Lower end of the part, any shape.

@@ -1,7 +1,5 @@
 """Nearest interval of a ray to a point, by place in memory."""
 
-from typing import NamedTuple
-
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
@@ -11,25 +9,11 @@ from .._pose import gathered_rows
 
 
 def gather(table: Array, at: Int[Array, "*end"]) -> Array:
-    """Return some entries of a table by their place in memory, shape (...).
+    """Entries of a table at some indices in memory, shape (...).
 
     **Differentiability**: linear in the table.
     """
     return gathered_rows(table.reshape(-1), at)
-
-
-class NearestInterval(NamedTuple):
-    """The interval of each ray that a point is in or nearest to; all of shape (...).
-
-    Attributes:
-        low: Lower end [m].
-        high: Upper end [m]; below the lower one where the ray is empty.
-        slot: Where it is on the ray.
-    """
-
-    low: Float[Array, "*ray"]
-    high: Float[Array, "*ray"]
-    slot: Int[Array, "*ray"]
 
 
 def nearest_interval(
@@ -37,14 +21,18 @@ def nearest_interval(
     ray: Int[Array, "*ray"],
     x: Float[Array, "*#ray"],
     slots: Int[Array, ""],
-) -> NearestInterval:
-    """Return the interval of each ray that a coordinate lies in, or is nearest to.
+) -> tuple[Float[Array, "*ray"], Float[Array, "*ray"], Int[Array, "*ray"]]:
+    """Interval of each ray that a coordinate lies in, or is nearest to.
 
     Args:
         ends: Lower and upper ends [m].
-        ray: Where in memory the ends of a ray begin, shape (...).
+        ray: Index in memory at which the ends of a ray begin, shape (...).
         x: Coordinate along the ray [m], broadcast.
-        slots: How many slots to look at: those behind hold nothing, shape ().
+        slots: Number of slots in use: those behind hold nothing, shape ().
+
+    Returns:
+        Lower end [m], upper end [m], below the lower one where the ray is empty, and
+        slot; all of shape (...).
 
     **Differentiability**: none; all are constants.
     """
@@ -52,8 +40,8 @@ def nearest_interval(
     count = ends.shape[-1]
     ray = materialise(ray)
 
-    def nearer(m: Int[Array, ""], found: tuple[Array, ...]) -> tuple[Array, ...]:
-        best, low, high, slot = found
+    def nearer(m: Int[Array, ""], nearest: tuple[Array, ...]) -> tuple[Array, ...]:
+        best, low, high, slot = nearest
         start, stop = gather(ends, ray + m), gather(ends, ray + (m + count))
         inside = jnp.minimum(x - start, stop - x)
         is_nearer = inside > best
@@ -70,4 +58,4 @@ def nearest_interval(
         # Few of the slots hold anything, and each costs a gather.
         first = jax.lax.fori_loop(jnp.ones((), jnp.int32), slots, nearer, first)
     _, low, high, slot = first
-    return NearestInterval(low, high, slot)
+    return low, high, slot

@@ -9,7 +9,7 @@ the question is split:
 - across the axis, the rays along x and y give the signed distance to walls in the
   plane of the disc. Each of the two families is interpolated over three rays, by
   quadratic splines, whose slope g across the rays is continuous: s / sqrt(1 + g^2) is
-  the distance to a straight wall, exactly, and (1 + g^2)^-2 is the family's say.
+  the distance to a straight wall, exactly, and (1 + g^2)^-2 is the family's weight.
 
 Their product is the occupancy. A ray that meets no surface within reach says nothing
 about where a surface is, so it hardly counts while another one does.
@@ -24,7 +24,7 @@ the ends of the rays.
 """
 
 import functools
-from typing import Any, Literal, NamedTuple, TypeVar
+from typing import Any, Literal, NamedTuple, TypeAlias, TypeVar
 
 import equinox as eqx
 import jax
@@ -48,20 +48,68 @@ from .tooth_pass import PoseTrack
 
 # Distances along a ray are cut off here, in units of the spacing.
 REACH = 4.0
-# Share of the band across a wall that an edge does not cross on its way.
-_FOLLOWED = 0.3
-# Bounds of that width are rounded off over this share of the band.
-_CORNER = 0.2
-# Where walls are sure enough, rounded off over this.
-_CONFIDENCE_ROUNDING = 0.3
-# A chip that crosses less of a wall than this, in widths of its band, counts as this.
-_SHORT = 1e-2
-# What a ray without a surface in reach still counts for.
-_BLIND = 1e-6
+
+# Coordinates of points on the rim along x, y and z, or of ways along x and y [m].
+Coordinates: TypeAlias = tuple[Float[Array, "disc point"], ...]
+
+
+class WallSmoothing(eqx.Module):
+    """Smoothing of the occupancy across a wall.
+
+    All numbers are shares without unit and our own choice, held against exact geometry
+    by `tests/workpiece/test_occupancy.py` and `experiments/cutting`.
+
+    Attributes:
+        narrowest_band: Least half-width of the transition, where an edge follows the
+            wall, in half-widths of the band of a disc.
+        band_rounding: Both bounds of that width are rounded off over so much of the
+            band.
+        confidence_rounding: A confidence near 1 is rounded off over so much.
+        shortest_chip: Least way of a chip across a wall, in half-widths of the
+            transition.
+        blind_weight: Weight of a ray without a surface within reach.
+    """
+
+    narrowest_band: float = eqx.field(static=True, default=0.3)
+    band_rounding: float = eqx.field(static=True, default=0.2)
+    confidence_rounding: float = eqx.field(static=True, default=0.3)
+    shortest_chip: float = eqx.field(static=True, default=1e-2)
+    blind_weight: float = eqx.field(static=True, default=1e-6)
+
+    def half_width(
+        self, crossed: Float[Array, "element point"], band: float | Float[Array, ""]
+    ) -> Float[Array, "element point"]:
+        """Half-width of the transition across a wall [m].
+
+        A wall that an edge follows rather than crosses is not blurred along its way.
+
+        Args:
+            crossed: Way of the edge across the wall to the next sample [m].
+            band: Greatest half-width [m].
+
+        Differentiability: smooth.
+        """
+        least, corner = self.narrowest_band * band, self.band_rounding * band
+        width = least + ramp(crossed - least, corner)
+        return materialise(width - ramp(width - band, corner))
+
+    def confidence(
+        self, weight: Float[Array, "element point"]
+    ) -> Float[Array, "element point"]:
+        """Confidence in the walls, from the weights of both families, 0 to 1 [-].
+
+        It is 1 for a wall that both families see at 45 degrees.
+        """
+        rounding = self.confidence_rounding
+        confidence = 2 * (1 + rounding) * weight
+        return confidence - ramp(confidence - 1, rounding)
+
+
+_SMOOTHING = WallSmoothing()
 
 
 class ChipsInStock(NamedTuple):
-    """How much of chips is in the material.
+    """Shares of chips that are in the material.
 
     Attributes:
         occupancy: The share of each disc or piece of edge that has a chip in the
@@ -88,13 +136,13 @@ class Discs(eqx.Module):
     band: float
 
     def centers(self, dtype: jnp.dtype) -> Float[Array, " element"]:
-        """Return the height of the middle of each disc above the tip [m]."""
+        """Height of the middle of each disc above the tip [m], shape (element,)."""
         return self.height * (jnp.arange(self.count, dtype=dtype) + 0.5)
 
     def filled_below(
         self, height: Float[Array, "*end disc point"]
     ) -> Float[Array, "*end element point"]:
-        """Return the share of each disc that lies below a height above the tip.
+        """Share of each disc that lies below a height above the tip [-].
 
         The shares of all discs sum to height / dz at any height between zero and the
         middle of the last disc. The lowest disc ends at the tip: it has no share in
@@ -127,7 +175,7 @@ class Discs(eqx.Module):
         track: PoseTrack | None = None,
         slots: Int[Array, " 3"] | None = None,
     ) -> ChipsInStock:
-        """Return how much of the chips at points on the rim is in the material.
+        """Shares of the chips at points on the rim that are in the material.
 
         Args:
             stock: The workpiece.
@@ -151,9 +199,8 @@ class Discs(eqx.Module):
         Differentiability: continuous; kinks where a point crosses a grid line.
         """
         # Points in the last axis: arrays are long there, nothing is summed over it.
-        ways = materialise((points, moves, chips))
-        place, move, chip = materialise([jnp.unstack(x.T) for x in ways])
-        place, move, chip = _Place(*place), _Across(*move), _Across(*chip)
+        rim_arrays = materialise((points, moves, chips))
+        place, move, chip = materialise([jnp.unstack(x.T) for x in rim_arrays])
         columns = _find_columns(stock, place)
         if track is not None:
             columns = _with_column_derivatives(cutter, columns, track)
@@ -167,39 +214,27 @@ class Discs(eqx.Module):
         if growth is None:
             growth = jnp.zeros_like(points[..., 0])
         rim = _Rim(place, move, chip, materialise(growth.T), heights)
-        found = _combine(self, stock.spacing, stock.origin, rim, columns, walls)
-        return materialise(ChipsInStock(*(share.T for share in materialise(found))))
-
-
-class _Place(NamedTuple):
-    """Points in `work` [m]."""
-
-    x: Float[Array, "disc point"]
-    y: Float[Array, "disc point"]
-    z: Float[Array, "disc point"]
-
-
-class _Across(NamedTuple):
-    """Ways across the axis [m]."""
-
-    x: Float[Array, "disc point"]
-    y: Float[Array, "disc point"]
+        shares = materialise(
+            _combine(self, stock.spacing, stock.origin, rim, columns, walls)
+        )
+        occupancy, chip_share = materialise(tuple(share.T for share in shares))
+        return ChipsInStock(occupancy, chip_share)
 
 
 class _Rim(eqx.Module):
-    """Points on the rim, what is taken there, and the heights at which to look.
+    """Points on the rim with their chips, and the heights of the walls.
 
     Attributes:
-        place: In `work`, at the height of the tip [m].
-        move: To the next sample [m].
-        chip: To the inner side of the chip [m].
-        growth: Of the chip from sample to sample [-].
-        heights: At which walls are looked for [m].
+        place: Points in `work`, at the height of the tip [m].
+        move: Way to the next sample across the axis [m].
+        chip: Way to the inner side of the chip across the axis [m].
+        growth: Growth of the chip from sample to sample [-].
+        heights: Heights of the rays to the walls [m].
     """
 
-    place: _Place
-    move: _Across
-    chip: _Across
+    place: Coordinates
+    move: Coordinates
+    chip: Coordinates
     growth: Float[Array, "disc point"]
     heights: Float[Array, "element point"]
 
@@ -209,9 +244,9 @@ class _Columns(eqx.Module):
 
     Attributes:
         ends: Lower and upper ends [m].
-        poses: What cut them, as `Rays.poses` has it.
-        at: Where in memory they are.
-        across: Where the rays stand along x and y [m].
+        poses: Ticks at which they were cut, as in `Rays.poses`.
+        at: Indices of the ends in memory.
+        across: Coordinates of the rays along x and y [m].
     """
 
     ends: Float[Array, "2 slot 9 disc point"]
@@ -221,9 +256,9 @@ class _Columns(eqx.Module):
 
 
 class _Walls(eqx.Module):
-    """The end that decides the distance on rays around each point.
+    """Ends of rays that are nearest to each point.
 
-    They stand on the three nearest lines to the side, and below and above.
+    The rays stand on the three nearest lines to the side, and below and above.
     """
 
     ends: Float[Array, "3 2 element point"]
@@ -237,7 +272,7 @@ class _Walls(eqx.Module):
 _Rays = TypeVar("_Rays", _Columns, _Walls)
 
 
-def _find_columns(stock: Stock, place: _Place) -> _Columns:
+def _find_columns(stock: Stock, place: Coordinates) -> _Columns:
     rays = stock.families[2]
     counts, slots = rays.ends.shape[:2], rays.ends.shape[-1]
     step = jnp.arange(-1, 2, dtype=jnp.int32)
@@ -256,24 +291,24 @@ def _find_columns(stock: Stock, place: _Place) -> _Columns:
 def _nearest_line(
     stock: Stock, axis: int, x: Float[Array, "*point"], count: int
 ) -> Int[Array, "*point"]:
-    """Return the nearest grid line that has a neighbour on each side."""
+    """Index of the nearest grid line that has a neighbour on each side."""
     at = jax.lax.stop_gradient((x - stock.origin[axis]) / stock.spacing)
     return jnp.clip(jnp.round(at).astype(jnp.int32), 1, count - 2)
 
 
 def _wall_heights(
     stock: Stock,
-    place: _Place,
+    place: Coordinates,
     discs: Discs,
     columns: _Columns,
 ) -> Float[Array, "element point"]:
-    """Return the height at which to look for walls, inside the material of a disc.
+    """Height of the rays to the walls, inside the material of a disc [m].
 
     A disc that only just reaches into the material from above has its middle in the
     air, where rays along x and y meet nothing; one spacing below the top they do.
     """
-    centers = discs.centers(place.z.dtype)
-    z = _at_discs(place.z, discs.count) + centers[:, None]
+    centers = discs.centers(place[2].dtype)
+    z = _at_discs(place[2], discs.count) + centers[:, None]
     low, high = (
         _at_discs(x.reshape(-1, *x.shape[2:]), discs.count)
         for x in materialise(jnp.unstack(columns.ends), backward_only=True)
@@ -289,7 +324,7 @@ def _wall_heights(
 def _find_walls(
     stock: Stock,
     family: Literal[0, 1],
-    place: _Place,
+    place: Coordinates,
     heights: Float[Array, "element point"],
     in_use: Int[Array, ""],
 ) -> _Walls:
@@ -312,10 +347,10 @@ def _find_walls(
     x = frozen(x)
     is_upper = high - x < x - low
     at = Rematerialised.read(ray + is_upper.astype(jnp.int32) * slots + slot)
-    # As they were found: to read them anew is for derivatives.
-    found = materialise(jnp.where(is_upper, high, low))
+    # The values of the search: to read them anew is for derivatives.
+    ends = materialise(jnp.where(is_upper, high, low))
     return _Walls(
-        ends=with_derivative_of(found, gather, rays.ends, at),
+        ends=with_derivative_of(ends, gather, rays.ends, at),
         is_upper=Rematerialised.read(is_upper),
         is_empty=Rematerialised.read(high < low),
         pose=Rematerialised.read(gather(rays.poses, at)),
@@ -325,24 +360,24 @@ def _find_walls(
 
 
 def _read_ends(rays: _Rays) -> _Rays:
-    """Return rays whose ends are marked as read, with the derivative that they have."""
+    """Rays whose ends are marked as read, with the derivative that they have."""
     return eqx.tree_at(lambda r: r.ends, rays, Rematerialised.read(rays.ends))
 
 
 def _with_column_derivatives(
     cutter: AbstractCutter, columns: _Columns, track: PoseTrack
 ) -> _Columns:
-    """Return the columns, each end with the derivative of the pose that cut it."""
+    """Columns whose ends have the derivative of the pose that cut them."""
     frozen = jax.lax.stop_gradient(columns)
     frozen = eqx.tree_at(lambda c: c.across, frozen, columns.across)
-    ends = with_derivative_of(frozen.ends, _made_columns, cutter, frozen, track)
+    ends = with_derivative_of(frozen.ends, _column_ends, cutter, frozen, track)
     return eqx.tree_at(lambda c: c.ends, columns, ends)
 
 
-def _made_columns(
+def _column_ends(
     cutter: AbstractCutter, columns: _Columns, track: PoseTrack
 ) -> Float[Array, "2 slot 9 disc point"]:
-    """Return ends that follow from their poses: those of the cutter's end there."""
+    """Ends of columns that follow from their poses: the cutter's end there [m]."""
     x, y = columns.across[0], columns.across[1]
     height = track.floor_by(columns.poses, cutter, x, y)
     raw = track.raw_ends(2, columns.at, columns.poses)
@@ -352,25 +387,25 @@ def _made_columns(
 def _with_wall_derivatives(
     cutter: AbstractCutter, walls: tuple[_Walls, ...], track: PoseTrack
 ) -> tuple[_Walls, ...]:
-    """Return both families, their ends with the derivatives of their poses."""
+    """Walls of both families whose ends have the derivatives of their poses."""
     frozen = jax.lax.stop_gradient(walls)
     across = lambda ws: tuple(wall.across for wall in ws)
     frozen = eqx.tree_at(across, frozen, across(walls))
     old = tuple(wall.ends for wall in frozen)
-    ends = with_derivative_of(old, _made_walls, cutter, frozen, track)
+    ends = with_derivative_of(old, _wall_ends, cutter, frozen, track)
     return eqx.tree_at(lambda ws: tuple(w.ends for w in ws), walls, ends)
 
 
-def _made_walls(
+def _wall_ends(
     cutter: AbstractCutter, walls: tuple[_Walls, ...], track: PoseTrack
 ) -> tuple[Float[Array, "3 2 element point"], ...]:
-    """Return ends of both families that move with their poses, but for a constant."""
+    """Ends of both families that move with their poses, but for a constant [m]."""
     frozen = jax.lax.stop_gradient
     # One gather for both: its transpose then adds into the table only once.
     both = Rematerialised.read(
         _tips_of_walls(jnp.stack([w.pose for w in walls]), track)
     )
-    tips, made = materialise(jnp.unstack(both), backward_only=True), []
+    tips, ends = materialise(jnp.unstack(both), backward_only=True), []
     for f in (0, 1):
         wall, tip = walls[f], tips[f]
         slopes = cutter.wall_slopes(f, wall.ends, wall.across, frozen(tip))
@@ -383,18 +418,18 @@ def _made_walls(
         end = jnp.sum(by_tip * tip, axis=-1) - by_aside * wall.across
         end = end + by_radius * (cutter.diameter / 2)
         raw = track.raw_ends(f, wall.at, wall.pose)
-        made.append(jnp.where(wall.pose >= 0, end, raw))
-    return tuple(made)
+        ends.append(jnp.where(wall.pose >= 0, end, raw))
+    return tuple(ends)
 
 
 def _tips_of_walls(
     poses: Int[Array, "2 3 2 element point"], track: PoseTrack
 ) -> Float[Array, "2 3 2 element point 3"]:
-    """Return the tips that cut walls; for raw ends, any.
+    """Tips that cut the walls [m]; of raw ends, any.
 
     A straight tooth makes an upright wall at once from floor to top: mostly one pose
-    stands for all heights of every wall of a look, and reverse mode adds into the track
-    one by one.
+    stands for all heights of all walls of a tooth period, and reverse mode adds into
+    the track one by one.
     """
     newest = jnp.max(poses, axis=(2, 3), keepdims=True)
     is_one = jnp.all((poses == newest) | (poses < 0))
@@ -413,11 +448,23 @@ def _combine(
     rim: _Rim,
     columns: _Columns,
     walls: tuple[_Walls, ...],
-) -> ChipsInStock:
-    wall = materialise(_wall_occupancy(spacing, discs.band, origin, rim, walls))
-    wall_confidence = wall.wall_confidence
+) -> tuple[Float[Array, "element point"], Float[Array, "element point"]]:
+    """Occupancy of the discs and share of their chips in the material [-].
+
+        ledge = sum w f (F - f) / sum w (F - f),  mean = sum w f,
+        solid = sum w f^2 / sum w f
+        occupancy = c ledge + (c (solid - ledge) + (1 - c) mean) touched
+
+    The share of the chip has `filled` in the place of `touched`, over the occupancy.
+    """
+    # symbols: w weights of the columns, f share of a disc that a column fills, F the
+    # largest of these, c confidence in the walls.
+    touched, filled_chip, wall_confidence = materialise(
+        _wall_occupancy(spacing, discs.band, origin, rim, walls)
+    )
+    least = _SMOOTHING.blind_weight
     low, high = columns.ends
-    z = ShortAxis.copies(ShortAxis.copies(rim.place.z, 9), 2 * len(low))
+    z = ShortAxis.copies(ShortAxis.copies(rim.place[2], 9), 2 * len(low))
     below = discs.filled_below(columns.ends - z.reshape(2, len(low), *z.shape[1:]))
     signs = jnp.array([-1.0, 1.0], below.dtype).reshape(2, 1, 1, 1, 1)
     lengths = jnp.where((high > low)[None], signs * below, 0)
@@ -431,19 +478,19 @@ def _combine(
     weighted = weights * filled
     gap = ShortAxis.copies(fullest, filled.shape[0]) - filled
     mean = ShortAxis.sum(weighted)
-    solid = ShortAxis.sum(weighted * filled) / (mean + _BLIND)
-    ledge = ShortAxis.sum(weighted * gap) / (ShortAxis.sum(weights * gap) + _BLIND)
+    solid = ShortAxis.sum(weighted * filled) / (mean + least)
+    ledge = ShortAxis.sum(weighted * gap) / (ShortAxis.sum(weights * gap) + least)
     ground = wall_confidence * ledge
     rise = wall_confidence * (solid - ledge) + (1 - wall_confidence) * mean
     ground, rise = materialise((ground, rise))
-    touching = materialise(ground + rise * wall.touched)
-    return ChipsInStock(touching, (ground + rise * wall.filled) / (touching + _BLIND))
+    occupancy = materialise(ground + rise * touched)
+    return occupancy, (ground + rise * filled_chip) / (occupancy + least)
 
 
 def _at_discs(
     values: Float[Array, "*any own point"], count: int
 ) -> Float[Array, "*any disc point"]:
-    """Return values of all discs, which may share them."""
+    """Values of all discs, which may share them."""
     if values.shape[-2] == count:
         return values
     return jnp.moveaxis(ShortAxis.copies(jnp.squeeze(values, -2), count), 0, -2)
@@ -451,7 +498,7 @@ def _at_discs(
 
 @jax.custom_jvp
 def _largest(values: Float[Array, " value *any"]) -> Float[Array, "*any"]:
-    """Return the largest values over a short leading axis.
+    """Largest values over a short leading axis.
 
     The first of equal values has the whole derivative: shared by comparison, it would
     be lost to rounding in reverse.
@@ -473,35 +520,31 @@ def _largest_jvp(primals: Any, tangents: Any) -> tuple[Array, Array]:
 _largest.defjvp(_largest_jvp)
 
 
-class _WallShares(NamedTuple):
-    """Chips beside walls.
-
-    Attributes:
-        touched: Where a chip is in the material.
-        filled: How much of it is.
-        wall_confidence: How surely walls tell.
-    """
-
-    touched: Float[Array, "element point"]
-    filled: Float[Array, "element point"]
-    wall_confidence: Float[Array, "element point"]
-
-
 def _wall_occupancy(
     d: float,
     band: float | Float[Array, ""],
     origin: Float[Array, " 3"],
     rim: _Rim,
     walls: tuple[_Walls, ...],
-) -> _WallShares:
-    reach = REACH * d
+) -> tuple[Float[Array, "element point"], ...]:
+    """Occupancy across the axis: a chip touches, fills; confidence in it [-].
+
+        D = sum a (s / sqrt(1 + g^2)) / sum a,  a = (1 - (s / reach)^2)^2 / (1 + g^2)^2
+        touched = H((D + (c + |c|) / 2) / b),  filled = mean of H over the chip
+
+    The sums go over the families of rays along x and y.
+    """
+    # symbols: s distance to the wall along a ray, g its slope across the rays, a weight
+    # of a family, D distance to the wall, c way across it to the inner side of the
+    # chip, b half-width of the transition, H integral of the hat.
+    reach, least = REACH * d, _SMOOTHING.blind_weight
     place, heights = rim.place, rim.heights
     q = (heights - origin[2]) / d
     q = q - jax.lax.stop_gradient(jnp.floor(q))
     total = jnp.zeros_like(heights)
-    says = jnp.full_like(heights, _BLIND)
-    wall_confidence = jnp.zeros_like(heights)
-    ahead = jnp.zeros_like(heights)
+    weight_sum = jnp.full_like(heights, least)
+    surface_weight = jnp.zeros_like(heights)
+    crossed_way = jnp.zeros_like(heights)
     entering = jnp.zeros_like(heights)
     inward = jnp.zeros_like(heights)
     for f, wall in enumerate(walls):
@@ -512,7 +555,7 @@ def _wall_occupancy(
         s = jnp.where(wall.is_empty, -reach, clamp(-reach, s, reach))
         below, above = materialise(jnp.unstack(s, axis=1), backward_only=True)
         lower, upper = (
-            share * ((1 - (s / reach) ** 2) ** 2 + _BLIND)
+            share * ((1 - (s / reach) ** 2) ** 2 + least)
             for share, s in (
                 (1 - ShortAxis.copies(q, 3), below),
                 (ShortAxis.copies(q, 3), above),
@@ -531,35 +574,31 @@ def _wall_occupancy(
         crossed, deeper = (
             slope * way[1 - f] - sign * way[f] for way in (rim.move, rim.chip)
         )
-        say = (weight + _BLIND) / jnp.sqrt(steepness)
-        ahead = ahead + say * jnp.abs(crossed)
-        entering = entering + say * crossed
-        inward = inward + say * deeper
-        total = total + say * s_here
-        says = says + weight + _BLIND
-        wall_confidence = wall_confidence + weight
-    inside, ahead, entering, inward = materialise(
-        [x / says for x in (total, ahead, entering, inward)]
+        family_weight = (weight + least) / jnp.sqrt(steepness)
+        crossed_way = crossed_way + family_weight * jnp.abs(crossed)
+        entering = entering + family_weight * crossed
+        inward = inward + family_weight * deeper
+        total = total + family_weight * s_here
+        weight_sum = weight_sum + weight + least
+        surface_weight = surface_weight + weight
+    inside, crossed_way, entering, inward = materialise(
+        [x / weight_sum for x in (total, crossed_way, entering, inward)]
     )
-    # A wall that an edge follows rather than crosses is not blurred along its way.
-    width = _FOLLOWED * band + ramp(ahead - _FOLLOWED * band, _CORNER * band)
-    width = materialise(width - ramp(width - band, _CORNER * band))
+    width = _SMOOTHING.half_width(crossed_way, band)
     # From the rim to the inner side of the chip.
-    length = jnp.sqrt(inward**2 + (_SHORT * width) ** 2)
+    length = jnp.sqrt(inward**2 + (_SMOOTHING.shortest_chip * width) ** 2)
     # To the nearer side of the chip, without the kink of a greatest one.
     touched = hat_integral((inside + (inward + length) / 2) / width)
     filled = mean_step(inside + inward / 2, width, length)
     moment = hat_moment((inside + inward / 2) / width) * entering / width
     filled = filled + _at_discs(rim.growth, len(heights)) * moment
-    # A wall that both families see at 45 degrees is sure, its corner rounded off below.
-    sure = 2 * (1 + _CONFIDENCE_ROUNDING) * wall_confidence
-    return _WallShares(touched, filled, sure - ramp(sure - 1, _CONFIDENCE_ROUNDING))
+    return touched, filled, _SMOOTHING.confidence(surface_weight)
 
 
 def _column_weights(
-    place: _Place, origin: Float[Array, " 3"], spacing: float
+    place: Coordinates, origin: Float[Array, " 3"], spacing: float
 ) -> Float[Array, "9 disc point"]:
-    """Return the quadratic B-spline weights of the 3 x 3 columns."""
+    """Quadratic B-spline weights of the 3 x 3 columns [-]."""
     weights = []
     for a in (0, 1):
         at = (place[a] - origin[a]) / spacing
@@ -569,5 +608,5 @@ def _column_weights(
 
 
 def _spline(t: Float[Array, "*point"]) -> Float[Array, " 3 *point"]:
-    """Return the quadratic B-spline weights of three lines, `t` from the middle one."""
+    """Quadratic B-spline weights of three lines [-], `t` from the middle one."""
     return jnp.stack([0.5 * (0.5 - t) ** 2, 0.75 - t**2, 0.5 * (0.5 + t) ** 2])

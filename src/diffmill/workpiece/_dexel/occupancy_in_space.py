@@ -9,8 +9,8 @@ The three planes are then one and the same (a face that all families see), two f
 of an edge that sticks out (what is inside of both is inside), or two of an edge that
 goes in (inside of one is enough). The share inside the plane that leaves the least,
 times the shares of planes at right angles to it, answers all three cases. A family that
-sees the face at a flat angle, or whose rays partly meet nothing, knows less and is held
-back.
+sees the face at a flat angle, or whose rays partly meet nothing, knows less and counts
+less.
 
 A piece of edge is not a point: what counts is the mean of the smooth step over it and
 over its way to the next sample, so that pieces in a row add up to the length in the
@@ -22,7 +22,6 @@ next to no material in it, the edge is out.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -38,42 +37,36 @@ from .occupancy import REACH, ChipsInStock
 from .stock import Stock
 from .tooth_pass import PoseTrack
 
-# A family that knows less than the first share of what the best one knows has no say
-# below the second.
-_HEARD, _UNHEARD = 0.3, 0.1
+# A family counts fully from this share of the best one's trust, and not at all below
+# the second.
+_FULL_TRUST, _NO_TRUST = 0.3, 0.1
 _TINY = 1e-6
-# Share of the rays around a point, by their weights, with which a family half knows.
-_FEW = 1e-2
+# Share of the rays around a point, by their weights, with which a family has half of
+# the trust.
+_HALF_TRUST_SHARE = 1e-2
 # Shorter ways across a surface count as this share of the band: what the rays resolve
 # of a smooth surface.
-_SHORTEST = 0.03
+_SHORTEST_WAY = 0.03
 # Shares of a chip in the material up to which its edge is out, and from which it is in.
 _NO_CHIP, _CHIP = 0.02, 0.1
 # Slope of a cut end against the motion of its pose is cut off at grazing rays.
 _GRAZING = 1e-2
 
 
-class _RayPair(NamedTuple):
-    """Two of the four rays around a point, neighbours in one direction."""
-
-    low: int
-    high: int
-
-
-# The rays around a point are (row, column) 00, 01, 10, 11.
-_ACROSS_ROWS = (_RayPair(0, 2), _RayPair(1, 3))
-_ACROSS_COLUMNS = (_RayPair(0, 1), _RayPair(2, 3))
+# The rays around a point are (row, column) 00, 01, 10, 11; pairs of neighbours.
+_ACROSS_ROWS = ((0, 2), (1, 3))
+_ACROSS_COLUMNS = ((0, 1), (2, 3))
 
 
 class _Cells(eqx.Module):
-    """What pieces of edge take [m], and the growth of their chips [-]."""
+    """Cells of pieces of edge by their edges [m], and growth of the chips [-]."""
 
     edges: Float[Array, "point edge 3"]
     growth: Float[Array, " point"]
 
 
 class _Near(eqx.Module):
-    """The end that decides the distance on each of 2 x 2 rays around each point."""
+    """Nearest end on each of 2 x 2 rays around each point."""
 
     ends: Float[Array, "point 4"]
     is_upper: Bool[Array, "point 4"]
@@ -84,7 +77,7 @@ class _Near(eqx.Module):
 
 
 class _Grid(eqx.Module):
-    """Where the rays are, and how finely they tell a surface."""
+    """Origin [m] and spacing [m] of the rays, and their resolution [m]."""
 
     origin: Float[Array, " 3"]
     spacing: float = eqx.field(static=True)
@@ -112,14 +105,14 @@ def occupancy_in_space(
     growth: Float[Array, " point"] | None = None,
     slots: Int[Array, " 3"] | None = None,
 ) -> ChipsInStock:
-    """Return how much of the chips at pieces of edge is in the material.
+    """Shares of the chips at pieces of edge that are in the material.
 
     Args:
         stock: The workpiece.
         points: Middles of the pieces in `work` [m], shape (point, 3).
-        cells: What each piece takes: from one end to the other, its way to the next
-            sample, and from the inner side of its chip outward [m], shape
-            (point, 3, 3).
+        cells: Edges of the cell that each piece takes: from one end to the other, its
+            way to the next sample, and from the inner side of its chip outward [m],
+            shape (point, 3, 3).
         band: Resolution of the rays and samples [m].
         cutter: The cutter that cut the stock; used only with `track`.
         track: All poses so far, to which the derivative goes; None differentiates
@@ -146,8 +139,8 @@ def occupancy_in_space(
         ends = with_derivative_of(old, _ends_from_poses, cutter, frozen, track)
     ends = Rematerialised.read(ends)
     growth = jnp.zeros_like(points[:, 0]) if growth is None else growth
-    found = _combine(points, _Cells(cells, growth), ends, near, grid)
-    return ChipsInStock(found[:, 0], found[:, 1])
+    shares = _combine(points, _Cells(cells, growth), ends, near, grid)
+    return ChipsInStock(shares[:, 0], shares[:, 1])
 
 
 def _find(
@@ -173,9 +166,9 @@ def _find(
     low, high, slot = nearest_interval(rays.ends, ray, x, slots)
     is_upper = high - x < x - low
     at = Rematerialised.read(ray + is_upper.astype(jnp.int32) * count + slot)
-    # As they were found: to read them anew is for derivatives.
-    found = jnp.where(is_upper, high, low)
-    ends = Rematerialised.read(with_derivative_of(found, gather, rays.ends, at))
+    # The values of the search: to read them anew is for derivatives.
+    ends = jnp.where(is_upper, high, low)
+    ends = Rematerialised.read(with_derivative_of(ends, gather, rays.ends, at))
     lines = [
         stock.origin[a] + d * index.astype(points.dtype)
         for a, index in zip(axes, (row, column), strict=True)
@@ -196,7 +189,7 @@ def _find(
 def _ends_from_poses(
     cutter: AbstractCutter, near: tuple[_Near, ...], track: PoseTrack
 ) -> list[Float[Array, "point 4"]]:
-    """Return ends that move with the poses that cut them, but for a constant.
+    """Ends that move with the poses that cut them, but for a constant [m].
 
     An end stays on the surface of its pose: level(end; pose) = 0, so it moves by
     -d(level) / n along its ray, n the normal's part along the ray.
@@ -220,7 +213,7 @@ def _ends_from_poses(
 def _offset_of_ends(
     cutter: AbstractCutter, places: Float[Array, "point 4 3"], cut_by: Pose
 ) -> Float[Array, "point 4"] | None:
-    """Return how far the tooth stands out that left each end [m].
+    """Run-out of the tooth that left each end [m].
 
     It is the one whose edge comes nearest to the end. None without run-out.
     """
@@ -247,29 +240,29 @@ def _combine(
 ) -> Float[Array, "point 2"]:
     faces = [_face(points, ends[f], near[f], f, grid) for f in range(3)]
     trust = jnp.stack([f.trust for f in faces])
-    known = trust / jnp.max(trust, axis=0, keepdims=True)
-    doubt = clamp(0.0, (_HEARD - known) / (_HEARD - _UNHEARD), 1.0)
+    share = trust / jnp.max(trust, axis=0, keepdims=True)
+    doubt = clamp(0.0, (_FULL_TRUST - share) / (_FULL_TRUST - _NO_TRUST), 1.0)
     # What the silent rays of families that see a face are: material, or air.
     full = jnp.sum(trust * jnp.stack([f.full for f in faces]), axis=0)
     empty = jnp.sum(trust * jnp.stack([f.empty for f in faces]), axis=0)
-    goes_in = full / (full + empty + _FEW)
+    goes_in = full / (full + empty + _HALF_TRUST_SHARE)
     shares = [_shares(face, cells, grid.band) for face in faces]
     touched, filled = (
         _inside(jnp.stack(each), faces, doubt, goes_in)
         for each in zip(*shares, strict=True)
     )
     filled = filled / (touched + _TINY)
-    share = clamp(0.0, (filled - _NO_CHIP) / (_CHIP - _NO_CHIP), 1.0)
-    return jnp.stack([touched * share**2 * (3 - 2 * share), filled], axis=-1)
+    t = clamp(0.0, (filled - _NO_CHIP) / (_CHIP - _NO_CHIP), 1.0)
+    return jnp.stack([touched * t**2 * (3 - 2 * t), filled], axis=-1)
 
 
 def _shares(
     face: _Face, cells: _Cells, band: float | Float[Array, ""]
 ) -> tuple[Float[Array, " point"], Float[Array, " point"]]:
-    """Return how much of the pieces and of their chips lies inside one plane."""
-    # How far it is out of the material along each edge of the cell.
+    """Shares of the pieces and of their chips that lie inside one plane [-]."""
+    # Way out of the material along each edge of the cell.
     out = jnp.sum(face.normal[:, None] * cells.edges, axis=-1)
-    shortest = _SHORTEST * band
+    shortest = _SHORTEST_WAY * band
     along = jnp.maximum(jnp.abs(out[:, 0]), shortest)
     width = jnp.maximum(jnp.abs(out[:, 1]), shortest)
     # From the edge to the inner side of the chip.
@@ -287,7 +280,7 @@ def _inside(
     doubt: Float[Array, "3 point"],
     goes_in: Float[Array, " point"],
 ) -> Float[Array, " point"]:
-    """Return how much is inside of an edge, from what is inside of each plane."""
+    """Share inside an edge of the surface, from the shares inside each plane [-]."""
     normals = jnp.stack([f.normal for f in faces])
     out = _inside_all(shares + (1 - shares) * doubt, normals)
     # Where the edge goes in, what is outside of all planes is outside.
@@ -298,7 +291,7 @@ def _inside(
 def _inside_all(
     shares: Float[Array, "3 point"], normals: Float[Array, "3 point 3"]
 ) -> Float[Array, " point"]:
-    """Return how much is inside of all planes.
+    """Share inside all planes [-].
 
     Planes that are one and the same count once, planes at right angles as a product.
     """
@@ -346,8 +339,8 @@ def _face(
     normal: list[Array] = [sign, sign, sign]
     normal[axes[0]], normal[axes[1]] = -slopes[0], -slopes[1]
     is_full = ~near.is_empty & (s >= reach)
-    # How surely: head-on, and one ray that meets an end is enough.
-    trust = total / (total + _FEW) / steepness**2
+    # Head-on, and one ray that meets an end is enough.
+    trust = total / (total + _HALF_TRUST_SHARE) / steepness**2
     return _Face(
         distance=here / root,
         normal=jnp.stack(normal, axis=-1) / root[:, None],
@@ -360,14 +353,14 @@ def _face(
 def _slope(
     s: Float[Array, "point 4"],
     weight: Float[Array, "point 4"],
-    pairs: Sequence[_RayPair],
+    pairs: Sequence[Sequence[int]],
     d: float,
 ) -> Float[Array, " point"]:
-    """Return the slope across rays, from those pairs of which both meet an end."""
+    """Slope across rays, from those pairs of which both meet an end [-]."""
     up = jnp.zeros_like(s[:, 0])
     total = jnp.full_like(up, _TINY)
-    for pair in pairs:
-        says = weight[:, pair.low] * weight[:, pair.high]
-        up = up + says * (s[:, pair.high] - s[:, pair.low]) / d
-        total = total + says
+    for low, high in pairs:
+        pair_weight = weight[:, low] * weight[:, high]
+        up = up + pair_weight * (s[:, high] - s[:, low]) / d
+        total = total + pair_weight
     return up / total

@@ -23,10 +23,10 @@ from .interval import CutInterval
 from .stock import Rays, Stock
 from .tooth_pass import ToothPass, cut_interval, standing
 
-# A tool that leans less than this out of the horizontal lies flat.
-_LEVEL = 1e-6
-# Slots that a removal looks at, if more are not in use.
-_WIDTHS = (3, 8)
+# A tool lies flat where the sine of its lean out of the horizontal is less [-].
+_FLAT_SINE = 1e-6
+# Slots that a removal searches, if more are not in use.
+_SLOT_COUNTS = (3, 8)
 
 
 class RemovalWindow(eqx.Module):
@@ -37,7 +37,7 @@ class RemovalWindow(eqx.Module):
         slack: How far the second pose may stand from the first [m].
         length: Length of the tool from the tip that can be in the stock [m]; used
             for tools in any direction, whose window stands around this length.
-        has_shank: Whether the shank above the flutes can be in the stock.
+        has_shank: True if the shank above the flutes can be in the stock.
     """
 
     sizes: tuple[int, int, int] = eqx.field(static=True)
@@ -49,7 +49,7 @@ class RemovalWindow(eqx.Module):
     def upright(
         cls, stock: Stock, cutter: AbstractCutter, axial_depth: float, reach: float
     ) -> "RemovalWindow":
-        """Return the window for a cutter that stands along +z.
+        """Window of a cutter that stands along +z.
 
         Args:
             stock: The workpiece.
@@ -81,7 +81,7 @@ class RemovalWindow(eqx.Module):
         axial_depth: float,
         reach: float,
     ) -> "RemovalWindow":
-        """Return the window for a cutter in any direction.
+        """Window of a cutter in any direction.
 
         Args:
             stock: The workpiece.
@@ -129,13 +129,14 @@ class RemovalWindow(eqx.Module):
             stock: The workpiece.
             cutter: The cutter.
             poses: Tool poses in `work`, shape (pose, 3).
-            indices: Index of each pose, kept with the ends that it cuts, shape (pose,).
+            indices: Index of each pose, stored with the ends that it cuts, shape
+                (pose,).
             is_due: Which of the poses to subtract, shape (pose,).
-            slots: How many slots of each family hold anything, shape (3,), so that no
-                more are looked at; all are if not given.
+            slots: Number of slots in use of each family, shape (3,); all slots are
+                searched if not given.
 
         Returns:
-            The stock, what was taken, and what went wrong.
+            The stock, the removed volumes, and flags of trouble.
 
         Differentiability: in the ends of the stock, through the poses.
         """
@@ -151,7 +152,7 @@ class RemovalWindow(eqx.Module):
         *,
         slots: Int[Array, " 3"] | None = None,
     ) -> "CutStock":
-        """Subtract what teeth take as they go around, at a few close places.
+        """Subtract the ways of teeth around the tool, at a few close places.
 
         The window stands around the first pass.
 
@@ -160,11 +161,11 @@ class RemovalWindow(eqx.Module):
             cutter: The cutter.
             passes: The passes, each of one tooth.
             is_due: Which of them to subtract, shape (pass,).
-            slots: How many slots of each family hold anything, shape (3,), so that no
-                more are looked at; all are if not given.
+            slots: Number of slots in use of each family, shape (3,); all slots are
+                searched if not given.
 
         Returns:
-            The stock, what was taken, and what went wrong.
+            The stock, the removed volumes, and flags of trouble.
 
         Differentiability: in the ends of the stock, through the poses.
         """
@@ -176,23 +177,21 @@ class RemovalWindow(eqx.Module):
         windows = tuple(
             _Window.of(stock.families[f], places[f], in_use[f]) for f in (0, 1, 2)
         )
-        subtract = _Subtraction(cutter, places, slots is None, self.has_shank)
+        subtract = _PassRemoval(cutter, places, slots is None, self.has_shank)
         if len(passes) == 1:
-            windows, taken = subtract(windows, _DuePass(passes[0], is_due[0]))
-            taken = jax.tree.map(lambda x: x[None], taken)
+            windows, removed = subtract(windows, passes[0], is_due[0])
+            removed = jax.tree.map(lambda x: x[None], removed)
         else:
             # One body for all passes is compiled once.
             each = jax.tree.map(lambda *x: jnp.stack(x), *passes)
             # JAX wants a function that it can refer to weakly.
-            windows, taken = jax.lax.scan(
-                lambda windows, due: subtract(windows, due),
-                windows,
-                _DuePass(each, is_due),
+            windows, removed = jax.lax.scan(
+                lambda windows, due: subtract(windows, *due), windows, (each, is_due)
             )
         volumes = jnp.zeros(len(passes), stock.origin.dtype)
         for f, weight in enumerate(stock.volume_weights):
             if weight:
-                volumes = volumes + taken.length[:, f] * weight * d**2
+                volumes = volumes + removed.length[:, f] * weight * d**2
         families = tuple(
             window.put_back(rays, place)
             for window, rays, place in zip(windows, stock.families, places, strict=True)
@@ -201,15 +200,15 @@ class RemovalWindow(eqx.Module):
         return CutStock(
             new_stock,
             volumes,
-            taken.by_shank * d**2,
+            removed.by_shank * d**2,
             jnp.stack([window.in_use for window in windows]),
-            jnp.any(taken.is_full),
-            jnp.any(grid.has_left_window & is_due) & jnp.any(taken.length > 0),
+            jnp.any(removed.is_full),
+            jnp.any(grid.has_left_window & is_due) & jnp.any(removed.length > 0),
         )
 
 
 def _widest_radius(cutter: AbstractCutter) -> float:
-    """Return the radius that the cutter reaches with a run-out that is known [m]."""
+    """Radius of the cutter with a run-out whose value is known [m]."""
     is_known = cutter.has_runout and not is_traced(cutter.runout)
     return cutter.nominal_radius + (abs(float(cutter.runout)) if is_known else 0.0)
 
@@ -220,8 +219,8 @@ class WindowGrid(NamedTuple):
     Attributes:
         starts: First grid line on each axis.
         lines: Coordinates of its lines on each axis [m].
-        has_left_window: Whether the tool reaches beyond the window, of an upright one
-            for each pose, shape (pose,), of another at the first, shape ().
+        has_left_window: True if the tool leaves the window, of an upright one for each
+            pose, shape (pose,), of another at the first, shape ().
     """
 
     starts: list[Int[Array, ""]]
@@ -229,7 +228,7 @@ class WindowGrid(NamedTuple):
     has_left_window: Bool[Array, "*pose"]
 
     def of_family(self, family: int) -> "RayPlaces":
-        """Return where the rays of a family stand in the window."""
+        """Places of the rays of a family in the window."""
         axes = ((family + 1) % 3, (family + 2) % 3)
         zero = jnp.zeros((), jnp.int32)
         b, c = jnp.meshgrid(*(self.lines[axis] for axis in axes), indexing="ij")
@@ -237,10 +236,10 @@ class WindowGrid(NamedTuple):
 
 
 class RayPlaces(NamedTuple):
-    """Where the rays of a family stand in a window.
+    """Places of the rays of a family in a window.
 
     Attributes:
-        at: Where they begin in their table.
+        at: Index at which the rays begin in their table.
         b: Their coordinates along axis (family + 1) % 3 [m].
         c: Their coordinates along axis (family + 2) % 3 [m].
     """
@@ -255,11 +254,12 @@ class CutStock(eqx.Module):
 
     Attributes:
         stock: The stock without the poses.
-        volume: What each pass took [m^3], shape (pass,).
-        by_shank: What of it its shank took, above the flutes [m^3], shape (pass,).
-        slots: How many slots of each family hold anything, shape (3,).
-        has_overflow: Whether a ray ran out of slots, shape ().
-        has_left_window: Whether a tool reached beyond the window, shape ().
+        volume: Volume that each pass takes [m^3], shape (pass,).
+        by_shank: Part of it that the shank takes, above the flutes [m^3], shape
+            (pass,).
+        slots: Number of slots in use of each family, shape (3,).
+        has_overflow: True if a ray ran out of slots, shape ().
+        has_left_window: True if a tool left the window, shape ().
     """
 
     stock: Stock
@@ -273,7 +273,7 @@ class CutStock(eqx.Module):
 def window_grid(
     stock: Stock, cutter: AbstractCutter, window: RemovalWindow, poses: Sequence[Pose]
 ) -> WindowGrid:
-    """Return the grid lines of a window around the first of some poses.
+    """Grid lines of a window around the first of some poses.
 
     Args:
         stock: The workpiece.
@@ -282,55 +282,53 @@ def window_grid(
         poses: The poses, without derivative, each of shape (3,).
     """
     origin, d = stock.origin, stock.spacing
-    place = _place(stock, cutter, window, poses)
-    lines = [
-        origin[a]
-        + d
-        * (place.starts[a] + jnp.arange(window.sizes[a], dtype=jnp.int32)).astype(
-            origin.dtype
-        )
-        for a in range(3)
-    ]
-    return WindowGrid(place.starts, lines, place.has_left_window)
+    place_window = _upright_window if poses[0].axis is None else _tilted_window
+    starts, has_left_window = place_window(stock, cutter, window, poses)
+    lines = []
+    for a in range(3):
+        index = starts[a] + jnp.arange(window.sizes[a], dtype=jnp.int32)
+        lines.append(origin[a] + d * index.astype(origin.dtype))
+    return WindowGrid(starts, lines, has_left_window)
 
 
-class _WindowPlace(NamedTuple):
-    """First grid lines of a window, and whether it misses material, as `WindowGrid`."""
-
-    starts: list[Int[Array, ""]]
-    has_left_window: Bool[Array, "*pose"]
-
-
-def _place(
+def _upright_window(
     stock: Stock, cutter: AbstractCutter, window: RemovalWindow, poses: Sequence[Pose]
-) -> _WindowPlace:
+) -> tuple[list[Int[Array, ""]], Bool[Array, " pose"]]:
+    """First grid lines of a window around an upright tool; True if it leaves it."""
+    tip, origin, d = poses[0].tip, stock.origin, stock.spacing
+    shape, sizes = stock.grid_shape, window.sizes
+    grid = jnp.floor((tip - origin) / d).astype(jnp.int32)
+    starts = [
+        jnp.clip(grid[0] - sizes[0] // 2 + 1, 0, shape[0] - sizes[0]),
+        jnp.clip(grid[1] - sizes[1] // 2 + 1, 0, shape[1] - sizes[1]),
+        jnp.clip(grid[2] - 1, 0, shape[2] - sizes[2]),
+    ]
+    # Lines beyond the window that a tool of its true radius reaches stay uncut, and
+    # so does material above it. The tool ends at its tip.
+    radius = cutter.diameter / 2
+    if cutter.has_runout:
+        radius = radius + jnp.abs(jnp.asarray(cutter.runout, origin.dtype))
+    side = radius * jnp.asarray([1, 1, 0], origin.dtype)
+    tips = jnp.stack([each.tip for each in poses])
+    is_up = jnp.asarray([[False, False, True]])
+    high = jnp.where(is_up, stock.top, tips + side[None])
+    first = jnp.stack(starts)
+    last = first + jnp.asarray(sizes, jnp.int32)
+    before = origin + d * (first - 1).astype(origin.dtype)
+    behind = origin + d * last.astype(origin.dtype)
+    has_before, has_behind = first > 0, last < jnp.asarray(shape, jnp.int32)
+    is_short = has_before[None] & (before[None] > tips - side[None])
+    is_short |= has_behind[None] & (behind[None] < high)
+    return starts, jnp.any(is_short, axis=1)
+
+
+def _tilted_window(
+    stock: Stock, cutter: AbstractCutter, window: RemovalWindow, poses: Sequence[Pose]
+) -> tuple[list[Int[Array, ""]], Bool[Array, ""]]:
+    """First grid lines of a window around a tilted tool; True if it leaves it."""
     pose, origin, d = poses[0], stock.origin, stock.spacing
     shape, sizes = stock.grid_shape, window.sizes
-    if pose.axis is None:
-        grid = jnp.floor((pose.tip - origin) / d).astype(jnp.int32)
-        starts = [
-            jnp.clip(grid[0] - sizes[0] // 2 + 1, 0, shape[0] - sizes[0]),
-            jnp.clip(grid[1] - sizes[1] // 2 + 1, 0, shape[1] - sizes[1]),
-            jnp.clip(grid[2] - 1, 0, shape[2] - sizes[2]),
-        ]
-        # Lines beyond the window that a tool of its true radius reaches stay uncut, and
-        # so does material above it. The tool ends at its tip.
-        radius = cutter.diameter / 2
-        if cutter.has_runout:
-            radius = radius + jnp.abs(jnp.asarray(cutter.runout, origin.dtype))
-        side = radius * jnp.asarray([1, 1, 0], origin.dtype)
-        tips = jnp.stack([each.tip for each in poses])
-        is_up = jnp.asarray([[False, False, True]])
-        high = jnp.where(is_up, stock.top, tips + side[None])
-        first = jnp.stack(starts)
-        last = first + jnp.asarray(sizes, jnp.int32)
-        before = origin + d * (first - 1).astype(origin.dtype)
-        behind = origin + d * last.astype(origin.dtype)
-        has_before, has_behind = first > 0, last < jnp.asarray(shape, jnp.int32)
-        is_short = has_before[None] & (before[None] > tips - side[None])
-        is_short |= has_behind[None] & (behind[None] < high)
-        return _WindowPlace(starts, jnp.any(is_short, axis=1))
-    a, R = pose.axis, _widest_radius(cutter)
+    a, R = pose.direction(), _widest_radius(cutter)
     disc = R * jnp.sqrt(jnp.maximum(1 - a**2, 0))
     far = pose.tip + window.length * a
     lower = jnp.minimum(pose.tip, far) - disc
@@ -347,23 +345,16 @@ def _place(
         if i == 2:
             is_short = is_short & (last < stock.top)
         has_left_window = has_left_window | is_short
-    return _WindowPlace(starts, has_left_window)
+    return starts, has_left_window
 
 
-class _DuePass(NamedTuple):
-    """A pass, and whether it is removed now."""
-
-    tooth: ToothPass
-    is_due: Bool[Array, ""]
-
-
-class _Window(NamedTuple):
-    """The rays of one family in a window.
+class _Window(eqx.Module):
+    """Rays of one family in a window.
 
     Attributes:
         ends: Lower and upper ends [m].
-        cut_by: When they were cut, in ticks.
-        in_use: How many slots hold anything, from the first on.
+        cut_by: Ticks at which they were cut.
+        in_use: Number of slots in use, from the first on.
     """
 
     ends: Float[Array, "u v 2 slot"]
@@ -372,26 +363,26 @@ class _Window(NamedTuple):
 
     @staticmethod
     def of(rays: Rays, place: RayPlaces, in_use: Int[Array, ""]) -> "_Window":
-        """Return those of a family that stand in the window."""
+        """Rays of a family that stand in the window."""
         shape = (*place.b.shape, 2, rays.ends.shape[-1])
         ends = jax.lax.dynamic_slice(rays.ends, place.at, shape)
         return _Window(ends, jax.lax.dynamic_slice(rays.poses, place.at, shape), in_use)
 
     def put_back(self, rays: Rays, place: RayPlaces) -> Rays:
-        """Return the family with these rays."""
+        """Family with these rays."""
         return Rays(
             jax.lax.dynamic_update_slice(rays.ends, self.ends, place.at),
             jax.lax.dynamic_update_slice(rays.poses, self.cut_by, place.at),
         )
 
 
-class _CutVolumes(NamedTuple):
-    """What passes took.
+class _RemovedLengths(eqx.Module):
+    """Lengths of rays that passes take.
 
     Attributes:
-        length: Of the rays of each family [m].
-        by_shank: What of the rays along z the shank took, above the flutes [m].
-        is_full: Whether a ray was full then.
+        length: Length of the rays of each family [m].
+        by_shank: Length of the rays along z that the shank takes, above the flutes [m].
+        is_full: True if a ray has no free slot.
     """
 
     length: Float[Array, "*pass 3"]
@@ -399,63 +390,63 @@ class _CutVolumes(NamedTuple):
     is_full: Bool[Array, "*pass 3"]
 
 
-class _Subtraction(NamedTuple):
-    """What subtracts a pass from the rays of a window, if it is due.
+class _PassRemoval(NamedTuple):
+    """Removal of a pass from the rays of a window.
 
     Attributes:
         cutter: The cutter.
-        places: Where the rays of each family stand.
-        looks_at_all: Whether all slots are looked at: less to compile.
-        has_shank: Whether the shank above the flutes can be in the stock.
+        places: Places of the rays of each family.
+        searches_all_slots: True if all slots are searched: less to compile.
+        has_shank: True if the shank above the flutes can be in the stock.
     """
 
     cutter: AbstractCutter
     places: list[RayPlaces]
-    looks_at_all: bool
+    searches_all_slots: bool
     has_shank: bool
 
     def __call__(
-        self, windows: tuple[_Window, ...], due: _DuePass
-    ) -> tuple[tuple[_Window, ...], _CutVolumes]:
-        """Return what is left, and what was taken."""
-        subtract_from = _subtract_in_all if self.looks_at_all else _subtract_in_use
+        self, windows: tuple[_Window, ...], tooth: ToothPass, is_due: Bool[Array, ""]
+    ) -> tuple[tuple[_Window, ...], _RemovedLengths]:
+        """Windows without the pass, if it is due, and the lengths that it takes."""
+        subtract = _subtract_in_all if self.searches_all_slots else _subtract_in_use
         none = jnp.zeros((), windows[0].ends.dtype)
 
-        def cut() -> tuple[tuple[_Window, ...], _CutVolumes]:
-            left, lengths, full = [], [], []
+        def cut() -> tuple[tuple[_Window, ...], _RemovedLengths]:
+            new_windows, lengths, full = [], [], []
             by_shank = none
             for f in (0, 1, 2):
                 _, b, c = self.places[f]
-                interval = cut_interval(self.cutter, f, b, c, due.tooth)
-                found = subtract_from(windows[f], interval)
-                left.append(found.window)
-                lengths.append(found.length)
-                full.append(found.is_full)
+                interval = cut_interval(self.cutter, f, b, c, tooth)
+                window, length, is_full = subtract(windows[f], interval)
+                new_windows.append(window)
+                lengths.append(length)
+                full.append(is_full)
                 if f == 2 and self.has_shank:
-                    by_shank = self._shank_length(windows[f], interval, due.tooth)
-            return tuple(left), _CutVolumes(
-                jnp.stack(lengths), by_shank, jnp.stack(full)
-            )
+                    by_shank = self._shank_length(windows[f], interval, tooth)
+            removed = _RemovedLengths(jnp.stack(lengths), by_shank, jnp.stack(full))
+            return tuple(new_windows), removed
 
-        def skip() -> tuple[tuple[_Window, ...], _CutVolumes]:
-            return windows, _CutVolumes(jnp.stack([none] * 3), none, jnp.zeros(3, bool))
+        def skip() -> tuple[tuple[_Window, ...], _RemovedLengths]:
+            lengths, full = jnp.stack([none] * 3), jnp.zeros(3, bool)
+            return windows, _RemovedLengths(lengths, none, full)
 
-        return jax.lax.cond(due.is_due, cut, skip)
+        return jax.lax.cond(is_due, cut, skip)
 
     def _shank_length(
         self, window: _Window, interval: CutInterval, tooth: ToothPass
     ) -> Float[Array, ""]:
-        """Return how much of a cut of rays along z lies above the flutes [m]."""
+        """Length of a cut of rays along z that lies above the flutes [m]."""
         _, x, y = self.places[2]
         ends = jax.lax.stop_gradient(window.ends)
-        start, stop, is_hit, *_ = interval
+        start, stop, is_hit = interval.start, interval.stop, interval.is_cut
         pose = tooth.center()
         a = pose.direction()
         foot = (x - pose.tip[0]) * a[0] + (y - pose.tip[1]) * a[1]
-        left = self.cutter.flute_length - foot
-        is_level = jnp.abs(a[2]) < _LEVEL
-        above = pose.tip[2] + left / jnp.where(is_level, 1.0, a[2])
-        never = jnp.where(left < 0, -Rays.DEAD, Rays.DEAD)
+        along = self.cutter.flute_length - foot
+        is_level = jnp.abs(a[2]) < _FLAT_SINE
+        above = pose.tip[2] + along / jnp.where(is_level, 1.0, a[2])
+        never = jnp.where(along < 0, -Rays.DEAD, Rays.DEAD)
         above = jnp.where(is_level, never, above)
         # A shank that hangs down takes what lies below this height instead.
         low = jnp.where(a[2] >= 0, jnp.maximum(start, above), start)
@@ -466,43 +457,45 @@ class _Subtraction(NamedTuple):
         return jnp.sum(jnp.where(is_hit[..., None], jnp.maximum(piece, 0), 0))
 
 
-class _CutWindow(NamedTuple):
-    """Rays of a family after a pass, what it took [m], and whether a ray was full."""
-
-    window: _Window
-    length: Float[Array, ""]
-    is_full: Bool[Array, ""]
-
-
-def _subtract_in_use(window: _Window, interval: CutInterval) -> _CutWindow:
+def _subtract_in_use(
+    window: _Window, interval: CutInterval
+) -> tuple[_Window, Float[Array, ""], Bool[Array, ""]]:
     """Subtract an interval from each ray, in the slots in use and one more."""
     # A ray in a long run rarely holds more than two pieces, of many that it has room
-    # for; the cost is that of the slots looked at.
+    # for; the cost is that of the slots that are searched.
     count = window.ends.shape[-1]
-    widths = [width for width in _WIDTHS if width < count] + [count]
-
+    widths = [width for width in _SLOT_COUNTS if width < count] + [count]
     fits = [window.in_use < width for width in widths[:-1]] + [window.in_use >= 0]
     branches = [functools.partial(_subtract_among, width) for width in widths]
     return jax.lax.switch(jnp.argmax(jnp.stack(fits)), branches, window, interval)
 
 
-def _subtract_in_all(window: _Window, interval: CutInterval) -> _CutWindow:
+def _subtract_in_all(
+    window: _Window, interval: CutInterval
+) -> tuple[_Window, Float[Array, ""], Bool[Array, ""]]:
     """Subtract an interval from each ray, in all slots: less to compile."""
     return _subtract_among(window.ends.shape[-1], window, interval)
 
 
-def _subtract_among(width: int, window: _Window, interval: CutInterval) -> _CutWindow:
-    """Subtract an interval from each ray, in the first slots."""
+def _subtract_among(
+    width: int, window: _Window, interval: CutInterval
+) -> tuple[_Window, Float[Array, ""], Bool[Array, ""]]:
+    """Subtract an interval from each ray, in the first slots.
+
+    Returns:
+        The rays, the length that the interval takes of them [m], and a flag: a ray was
+        full.
+    """
     old = window.ends[..., :width]
     pieces = interval.subtract_from(old, window.cut_by[..., :width])
     corner = (0, 0, 0, 0)
-    left = _Window(
+    remaining = _Window(
         jax.lax.dynamic_update_slice(window.ends, pieces.ends, corner),
         jax.lax.dynamic_update_slice(window.cut_by, pieces.cut_by, corner),
         jnp.maximum(window.in_use, Rays(pieces.ends, pieces.cut_by).slots_in_use()),
     )
     is_full = jnp.any(pieces.is_full)
-    return _CutWindow(left, _removed_length(old, pieces.ends), is_full)
+    return remaining, _removed_length(old, pieces.ends), is_full
 
 
 def _removed_length(

@@ -4,13 +4,13 @@ import dataclasses
 import functools
 import math
 from collections.abc import Sequence
-from typing import ClassVar, NamedTuple, TypeAlias
+from typing import ClassVar, TypeAlias
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from ..._types import RealScalarLike
 from .._memory import StockMemory
@@ -32,12 +32,12 @@ class Rays(eqx.Module):
 
     Attributes:
         ends: Lower and upper ends along the ray [m], shape (u, v, 2, slot).
-        poses: Which tool pose cut each end, in ticks from pose 0; negative for the raw
-            stock, in a run -1 - m for an end that was in slot m at its start; shape
+        poses: Tick from pose 0 at which each end was cut; negative for the raw stock,
+            in a run -1 - m for an end that was in slot m at its start; shape
             (u, v, 2, slot).
         DEAD: Ends of a slot that holds nothing, reversed: far outside any workpiece
             [m].
-        TICKS: How many ticks a tooth period has.
+        TICKS: Number of ticks in a tooth period.
     """
 
     DEAD: ClassVar[float] = 1e3
@@ -47,13 +47,13 @@ class Rays(eqx.Module):
     poses: Int[Array, "u v 2 slot"]
 
     def lengths(self) -> Float[Array, "u v"]:
-        """Return the material along each ray [m], shape (u, v)."""
+        """Length of material along each ray [m], shape (u, v)."""
         return jnp.sum(jnp.maximum(self.ends[:, :, 1] - self.ends[:, :, 0], 0), axis=-1)
 
     def numbered(self) -> "Rays":
-        """Return the rays as raw ones, whose ends remember the slots that they are in.
+        """Raw rays, whose ends remember the slots that they are in.
 
-        What cut them before a run means nothing to it.
+        The poses that cut them before a run mean nothing to it.
         """
         slot = jnp.arange(self.ends.shape[-1], dtype=self.poses.dtype)
         return Rays(self.ends, jnp.broadcast_to(-1 - slot, self.poses.shape))
@@ -61,7 +61,7 @@ class Rays(eqx.Module):
     def places(
         self, u: Int[Array, "*ray"], v: Int[Array, "*ray"]
     ) -> Int[Array, "*ray 2 slot"]:
-        """Return where in memory the ends of some rays are, shape (..., 2, slot)."""
+        """Indices in memory of the ends of some rays, shape (..., 2, slot)."""
         slots = self.ends.shape[-1]
         ray = (u * self.ends.shape[1] + v) * (2 * slots)
         own = jnp.arange(2 * slots, dtype=jnp.int32)
@@ -69,23 +69,30 @@ class Rays(eqx.Module):
         return ray[..., None, None] + own
 
     def slots_in_use(self) -> Int[Array, ""]:
-        """Return how many slots hold anything on some ray, from the first on, ()."""
+        """Number of slots that hold an interval on any ray, from the first on, ()."""
         is_live = jnp.any(self.ends[:, :, 1] > self.ends[:, :, 0], axis=(0, 1))
         place = jnp.arange(1, is_live.size + 1, dtype=jnp.int32)
         return jnp.max(jnp.where(is_live, place, 0))
 
 
-class RayEnds(NamedTuple):
-    """Ends of the intervals of one family.
+class RayEnds(eqx.Module):
+    """Ends of the intervals of one family, on the host.
 
     Attributes:
-        points: Where they are [m], shape (end, 3).
+        points: Points in `work` [m], shape (end, 3).
         signs: Outward direction along the ray, -1 for lower and +1 for upper ends,
             shape (end,).
+        poses: Ticks at which a tool pose cut the ends, as in `Rays`, shape (end,).
     """
 
     points: Float[np.ndarray, "end 3"]
     signs: Float[np.ndarray, " end"]
+    poses: Int[np.ndarray, " end"]
+
+    @property
+    def is_cut(self) -> Bool[np.ndarray, " end"]:
+        """True if a tool pose cut the end; False on raw faces."""
+        return self.poses >= 0
 
 
 class Stock(eqx.Module):
@@ -114,13 +121,13 @@ class Stock(eqx.Module):
 
     @functools.partial(jax.jit, inline=True)
     def volumes(self) -> Float[Array, " 3"]:
-        """Return the volume that each family measures [m^3], shape (3,)."""
+        """Volume that each family measures [m^3], shape (3,)."""
         totals = [jnp.sum(rays.lengths()) for rays in self.families]
         return jnp.stack(totals) * self.spacing**2
 
     @functools.partial(jax.jit, inline=True)
     def volume(self) -> Float[Array, ""]:
-        """Return the volume [m^3], the weighted mean of the families, shape ().
+        """Volume [m^3], the weighted mean of the families, shape ().
 
         Differentiability: linear in the ends of the rays.
         """
@@ -128,7 +135,7 @@ class Stock(eqx.Module):
         return jnp.sum(self.volumes() * weights)
 
     def ray_ends(self, family: int) -> "RayEnds":
-        """Return the ends of all intervals of one family as points, on the host.
+        """Ends of all intervals of one family as points, on the host.
 
         Args:
             family: 0, 1 or 2: the rays along x, y or z.
@@ -141,10 +148,11 @@ class Stock(eqx.Module):
         points[:, family] = ends[is_live]
         for axis, index in (((family + 1) % 3, u), ((family + 2) % 3, v)):
             points[:, axis] = origin[axis] + index * self.spacing
-        return RayEnds(points, np.where(side == 0, -1.0, 1.0))
+        poses = np.asarray(self.families[family].poses)[is_live]
+        return RayEnds(points, np.where(side == 0, -1.0, 1.0), poses)
 
     def as_raw(self) -> "Stock":
-        """Return a machined stock as raw stock for another path.
+        """Machined stock as raw stock for another path.
 
         Returns:
             The same material. The ends forget the poses that cut them, which mean
@@ -171,7 +179,7 @@ class Stock(eqx.Module):
         return dataclasses.replace(self, families=(x, y, z), top=top)
 
     def with_interval_counts(self, interval_counts: Sequence[int]) -> "Stock":
-        """Return the same material in rays with another number of slots.
+        """Same material in rays with another number of slots.
 
         Args:
             interval_counts: Slots for intervals of a ray along x, y and z.
@@ -181,7 +189,9 @@ class Stock(eqx.Module):
                 intervals that there are.
         """
         check_interval_counts(interval_counts)
-        needed = tuple(_needed_slots(rays) for rays in self.families)
+        ends = [np.asarray(rays.ends) for rays in self.families]
+        counts = [(e[:, :, 1] > e[:, :, 0]).sum(axis=-1) for e in ends]
+        needed = tuple(int(count.max(initial=0)) for count in counts)
         if any(n > count for n, count in zip(needed, interval_counts, strict=True)):
             raise ValueError(
                 f"Argument `interval_counts` is {interval_counts}, but rays of the "
@@ -216,23 +226,23 @@ class Stock(eqx.Module):
         return StockMemory.of_grid(self.grid_shape, interval_counts, item_size)
 
     def slots_in_use(self) -> Int[Array, " 3"]:
-        """Return how many slots of each family hold anything, from the first on."""
+        """Number of slots in use of each family, from the first on, shape (3,)."""
         return jnp.stack([rays.slots_in_use() for rays in self.families])
 
     @property
     def grid_shape(self) -> tuple[int, int, int]:
-        """Return the number of grid lines along x, y and z."""
+        """Number of grid lines along x, y and z."""
         count_y, count_z = self.families[0].ends.shape[:2]
         return self.families[1].ends.shape[1], count_y, count_z
 
     @property
     def interval_counts(self) -> tuple[int, int, int]:
-        """Return the number of slots of a ray along x, y and z."""
+        """Number of slots of a ray along x, y and z."""
         x, y, z = (rays.ends.shape[-1] for rays in self.families)
         return x, y, z
 
     def to_mesh(self) -> Mesh:
-        """Return the surface as a closed mesh, on the host.
+        """Surface as a closed mesh, on the host.
 
         Returns:
             Triangles [m], sharp edges kept. Walls and gaps thinner than the spacing
@@ -247,7 +257,7 @@ class Stock(eqx.Module):
         return surface_mesh(self)
 
     def astype(self, dtype: jnp.dtype) -> "Stock":
-        """Return the stock with all lengths in another floating type."""
+        """Stock with all lengths in another floating type."""
         return jax.tree.map(
             lambda x: x.astype(dtype) if jnp.issubdtype(x.dtype, jnp.floating) else x,
             self,
@@ -262,7 +272,7 @@ def box(
     interval_counts: Sequence[int] = (8, 8, 1),
     dtype: type | jnp.dtype | None = None,
 ) -> Stock:
-    """Return a block as stock.
+    """Block as stock.
 
     Args:
         lower: Least x, y, z [m], shape (3,).
@@ -292,8 +302,7 @@ def box(
             f"are {high.tolist()} and {low.tolist()}."
         )
     check_interval_counts(interval_counts)
-    grid = block_grid(low, high, spacing)
-    origin, counts = grid.origin, grid.counts
+    origin, counts = block_grid(low, high, spacing)
     cells = counts - 2 * MARGIN
     lines = [origin[a] + spacing * np.arange(counts[a]) for a in range(3)]
     inside = [
@@ -328,22 +337,10 @@ def check_interval_counts(interval_counts: Sequence[int]) -> None:
         )
 
 
-class BlockGrid(NamedTuple):
-    """Grid of rays for a block.
-
-    Attributes:
-        origin: First grid line of each axis [m], shape (3,).
-        counts: Number of grid lines, shape (3,).
-    """
-
-    origin: Float[np.ndarray, " 3"]
-    counts: Int[np.ndarray, " 3"]
-
-
 def block_grid(
     lower: Float[np.ndarray, " 3"], upper: Float[np.ndarray, " 3"], spacing: float
-) -> BlockGrid:
-    """Return the grid of rays for a block, its margin included, on the host.
+) -> tuple[Float[np.ndarray, " 3"], Int[np.ndarray, " 3"]]:
+    """Grid of rays for a block, its margin included, on the host.
 
     Args:
         lower: Least x, y, z [m], shape (3,).
@@ -351,21 +348,16 @@ def block_grid(
         spacing: Distance between rays [m].
 
     Returns:
-        The grid. A size that is no multiple of the spacing is shared out to both sides.
+        First grid line of each axis [m] and number of grid lines, each of shape (3,). A
+        size that is no multiple of the spacing is shared out to both sides.
     """
     cells = np.maximum(np.round((upper - lower) / spacing), 1).astype(int)
     first = (lower + upper) / 2 - (cells - 1) / 2 * spacing
-    return BlockGrid(first - MARGIN * spacing, cells + 2 * MARGIN)
-
-
-def _needed_slots(rays: Rays) -> int:
-    """Return the largest number of intervals of a ray."""
-    ends = np.asarray(rays.ends)
-    return int((ends[:, :, 1] > ends[:, :, 0]).sum(axis=-1).max(initial=0))
+    return first - MARGIN * spacing, cells + 2 * MARGIN
 
 
 def _resized(rays: Rays, count: int) -> Rays:
-    """Return rays with another number of slots, no fewer than they need."""
+    """Rays with another number of slots, no fewer than they need."""
     ends, poses = np.asarray(rays.ends), np.asarray(rays.poses)
     is_live = ends[:, :, 1] > ends[:, :, 0]
     # The live slots first, then cut off or pad with dead ones.
@@ -373,7 +365,7 @@ def _resized(rays: Rays, count: int) -> Rays:
     shape = (*ends.shape[:2], 2, count)
     new_ends, new_poses = np.empty(shape, ends.dtype), np.full(shape, -1, np.int32)
     new_ends[:, :, 0], new_ends[:, :, 1] = Rays.DEAD, -Rays.DEAD
-    kept = min(count, ends.shape[-1])
-    new_ends[..., :kept] = np.take_along_axis(ends, order, axis=-1)[..., :kept]
-    new_poses[..., :kept] = np.take_along_axis(poses, order, axis=-1)[..., :kept]
+    common = min(count, ends.shape[-1])
+    new_ends[..., :common] = np.take_along_axis(ends, order, axis=-1)[..., :common]
+    new_poses[..., :common] = np.take_along_axis(poses, order, axis=-1)[..., :common]
     return Rays(jnp.asarray(new_ends), jnp.asarray(new_poses))

@@ -22,7 +22,7 @@ _OVERLAP = 1e-7
 
 
 def arrays_of_stock(stock: Stock) -> dict[str, Shaped[np.ndarray, "..."]]:
-    """Return all that a stock holds by name, lengths in metres."""
+    """Arrays of a stock by name, lengths in metres."""
     arrays = {
         "origin": np.asarray(stock.origin),
         "spacing": np.asarray(stock.spacing),
@@ -75,7 +75,7 @@ def stock_of_arrays(
     is_raw: bool,
     dtype: type | jnp.dtype | None,
 ) -> Stock:
-    """Return the stock of arrays whose shapes and types have been checked.
+    """Stock of arrays whose shapes and types have been checked.
 
     Args:
         arrays: The arrays by name.

@@ -28,11 +28,11 @@ from .interval import CutInterval
 from .nearest_interval import gather
 from .stock import Rays, Stock
 
-# An end tells which pose cut it, and that where the end is: so often in turn. What is
-# left is the square of (way in a radian / R), in R.
-_ROUNDS = 2
-# Parts of a step in which columns look for their time.
-_FINE = 8
+# Iterations between an end and the pose that cuts it. The error that remains is the
+# square of (way in a radian / R), in R.
+_POSE_ITERATIONS = 2
+# Parts of a step in the search for the time of a column.
+_COLUMN_PARTS = 8
 # Abramowitz and Stegun, Handbook of Mathematical Functions, 1964, 4.4.49: arctan x / x
 # for |x| <= 1 to 1e-5.
 _ARCTAN = (0.9998660, -0.3302995, 0.1801410, -0.0851330, 0.0208351)
@@ -53,11 +53,11 @@ class PoseTrack(eqx.Module):
     raw: Stock | None = None
 
     def cut_by(self, ticks: Int[Array, "*end"]) -> Pose:
-        """Return the poses that cut some ends, interpolated between two nodes.
+        """Poses that cut some ends, interpolated between two nodes.
 
         Args:
-            ticks: When they cut, as the ends remember it, shape (...); raw ends, with
-                negative times, get pose 0.
+            ticks: Ticks of the cuts, which the ends remember, shape (...); raw ends,
+                with negative times, get pose 0.
 
         Returns:
             Poses, shape (..., 3).
@@ -73,16 +73,16 @@ class PoseTrack(eqx.Module):
         x: Float[Array, "*#end"],
         y: Float[Array, "*#end"],
     ) -> Float[Array, "*end"]:
-        """Return the heights at which the flat end of an upright cutter cut columns.
+        """Heights at which the flat end of an upright cutter cut columns.
 
         Args:
-            ticks: When it did, shape (...); see `cut_by`.
+            ticks: Ticks of the cuts, shape (...); see `cut_by`.
             cutter: The cutter.
-            x: Where the columns stand [m], broadcast.
-            y: The same along y [m].
+            x: Place of the columns along x [m], broadcast.
+            y: Place along y [m].
 
         Returns:
-            Heights [m], shape (...): those of the tip, and what a dish rises there.
+            Heights [m], shape (...): those of the tip and of a dish above it.
 
         **Differentiability**: in the poses and the cutter's sizes.
         """
@@ -95,12 +95,12 @@ class PoseTrack(eqx.Module):
     def raw_ends(
         self, family: int, at: Int[Array, "*end"], ticks: Int[Array, "*end"]
     ) -> Float[Array, "*end"]:
-        """Return the ends of the raw stock that are still there, zero for others.
+        """Ends of the raw stock that are still there, zero for others.
 
         Args:
             family: Axis along which the rays run.
-            at: Where in memory ends are, shape (...).
-            ticks: When they were cut, as the ends remember it, shape (...).
+            at: Indices of the ends in memory, shape (...).
+            ticks: Ticks of the cuts, which the ends remember, shape (...).
 
         Returns:
             Ends [m], shape (...).
@@ -132,7 +132,7 @@ class PoseTrack(eqx.Module):
 def _pairs(
     table: Float[Array, "row some"], first: Int[Array, "*at"]
 ) -> Float[Array, "*at 2 some"]:
-    """Return rows of a table and those behind them."""
+    """Rows of a table and those behind them."""
     numbers = jax.lax.GatherDimensionNumbers(
         offset_dims=(first.ndim, first.ndim + 1),
         collapsed_slice_dims=(),
@@ -144,7 +144,7 @@ def _pairs(
 
 
 class ToothPass(eqx.Module):
-    """The poses of a tool while one tooth goes around once.
+    """Poses of a tool while one tooth goes around once.
 
     Attributes:
         nodes: Poses at equal steps of time, shape (node, 3); one for a tool that stands
@@ -154,8 +154,8 @@ class ToothPass(eqx.Module):
         passing: Node, in parts too, at which the tooth looks forward at the tip, ().
         last: Last node that is known; later the tool is taken to stand there, ().
         substeps: Steps per tooth period.
-        teeth: Which teeth it stands for, of a cutter with run-out, shape (tooth,): the
-            pass takes what the one takes that stands out most; all teeth if None.
+        teeth: Mask of the teeth that make the pass, of a cutter with run-out, shape
+            (tooth,): the one that stands out most cuts; all teeth if None.
     """
 
     nodes: Pose
@@ -167,11 +167,11 @@ class ToothPass(eqx.Module):
     teeth: Bool[Array, " tooth"] | None = None
 
     def center(self) -> Pose:
-        """Return the pose at which the tooth looks forward, shape (3,)."""
+        """Pose at which the tooth looks forward, shape (3,)."""
         return self.at(clamp(0.0, self.passing, self.last))
 
     def at(self, node: Float[Array, "*end"]) -> Pose:
-        """Return the poses at some nodes, interpolated, shape (..., 3).
+        """Poses at some nodes, interpolated, shape (..., 3).
 
         **Differentiability**: kinks at the nodes.
         """
@@ -188,7 +188,7 @@ class ToothPass(eqx.Module):
         return Pose(tip, axis / jnp.linalg.norm(axis, axis=-1, keepdims=True))
 
     def refined(self, parts: int) -> "ToothPass":
-        """Return the same pass with every step in some parts."""
+        """Same pass with every step in some parts."""
         count = (self.nodes.tip.shape[0] - 1) * parts + 1
         fine = self.at(jnp.arange(count, dtype=self.passing.dtype) / parts)
         first, passing, last = (
@@ -200,14 +200,14 @@ class ToothPass(eqx.Module):
     def offset(
         self, cutter: AbstractCutter, height: Float[Array, "*#end"]
     ) -> Float[Array, "..."] | None:
-        """Return how far the edge stands out that cuts at some heights.
+        """Offset from the radius of the edge that cuts at some heights [m].
 
         Args:
             cutter: The cutter.
             height: Above the tip [m], shape (...).
 
         Returns:
-            Of its teeth that which stands out most [m], broadcast against the heights;
+            Offset of the tooth that stands out most, broadcast against the heights;
             None for a cutter without run-out.
 
         **Differentiability**: kinks where another tooth stands out most.
@@ -227,7 +227,7 @@ class ToothPass(eqx.Module):
         y: Float[Array, "*#end"],
         height: Float[Array, "*#end"] | None,
     ) -> Float[Array, "..."]:
-        """Return the node at which the tooth looks at a place.
+        """Node at which the tooth looks at a place.
 
         Args:
             cutter: The cutter.
@@ -249,35 +249,33 @@ class ToothPass(eqx.Module):
         nodes_per_radian = cutter.flute_count * self.substeps / (2 * math.pi)
         node = jax.lax.stop_gradient(self.passing + nodes_per_radian * turn)
         node = clamp(0.0, node, self.last)
-        return jnp.minimum(self._ticks(node) * (self.substeps / Rays.TICKS), self.last)
-
-    def _ticks(self, node: Float[Array, "*end"]) -> Float[Array, "*end"]:
-        """Return whole ticks from node 0, such that they are whole from pose 0 too."""
+        # Whole ticks from node 0, such that they are whole from pose 0 too.
         part = self._first_ticks(node.dtype)
-        return jnp.round(node * (Rays.TICKS / self.substeps) + part) - part
+        ticks = jnp.round(node * (Rays.TICKS / self.substeps) + part) - part
+        return jnp.minimum(ticks * (self.substeps / Rays.TICKS), self.last)
 
     def ticks(self, node: Float[Array, "*end"]) -> Int[Array, "*end"]:
-        """Return the times of some nodes in ticks, shape (...)."""
+        """Times of some nodes in ticks, shape (...)."""
         part = node * (Rays.TICKS / self.substeps) + self._first_ticks(node.dtype)
         whole = self.first // self.substeps * Rays.TICKS
         return whole + jnp.round(part).astype(jnp.int32)
 
     def _first_ticks(self, dtype: DTypeLike) -> Float[Array, ""]:
-        """Return the ticks of node 0 in its tooth period."""
+        """Ticks of node 0 in its tooth period."""
         part = (self.first % self.substeps).astype(dtype)
         return materialise(part * (Rays.TICKS / self.substeps))
 
 
 def standing(pose: Pose, index: Int[Array, ""]) -> ToothPass:
-    """Return the pass of a tool that stands still.
+    """Pass of a tool that stands still.
 
     Args:
-        pose: Where, shape (3,).
+        pose: The pose, shape (3,).
         index: Index of the pose, shape ().
     """
     zero = jnp.zeros((), pose.tip.dtype)
-    ahead = jnp.zeros(2, pose.tip.dtype).at[1].set(1)
-    return ToothPass(pose[None], index, ahead, zero, zero, 1)
+    forward = jnp.zeros(2, pose.tip.dtype).at[1].set(1)
+    return ToothPass(pose[None], index, forward, zero, zero, 1)
 
 
 def cut_interval(
@@ -287,10 +285,10 @@ def cut_interval(
     c: Float[Array, "u v"],
     tooth: ToothPass,
 ) -> CutInterval:
-    """Return what a tooth takes from rays as it goes around once.
+    """Interval that a tooth cuts from each ray as it goes around once.
 
     The height of an upright end is that of the tool as the tooth passes over a column;
-    whether it reaches the column is judged at the tip, also on a helix.
+    the column counts as reached if the tip reaches it, also on a helix.
 
     Args:
         cutter: The cutter.
@@ -299,18 +297,18 @@ def cut_interval(
         c: Coordinate of each ray along axis (family + 2) % 3 [m], same shape.
         tooth: The pass.
 
-    **Differentiability**: as `AbstractCutter.intersect` and `intersect_pose`.
+    **Differentiability**: that of `AbstractCutter.intersect` and `intersect_pose`.
     """
     center = tooth.center()
     if tooth.nodes.tip.shape[0] == 1:
         start, stop, is_hit = _intersect_teeth(cutter, family, b, c, center, tooth)
         when = jnp.broadcast_to(tooth.ticks(tooth.passing), is_hit.shape)
         return CutInterval(start, stop, is_hit, when, when)
-    # Found once, not by every ray.
+    # Computed once, not by every ray.
     center = materialise(center)
     if center.axis is None and family == 2:
-        # Columns are many, and interpolation would cost more than all the rest.
-        fine = tooth.refined(_FINE)
+        # Columns are many, and interpolation would cost more than everything else.
+        fine = tooth.refined(_COLUMN_PARTS)
         fine = materialise(fine)
         node = fine.when(cutter, b - center.tip[0], c - center.tip[1], None)
         # Of another type than what it comes from: XLA's CPU compiler would else store
@@ -326,9 +324,9 @@ def cut_interval(
     pose, node = center, tooth.passing
     offset = tooth.offset(cutter, jnp.zeros_like(u))
     start, stop, is_hit = _intersect(cutter, family, u, v, pose, offset)
-    for _ in range(_ROUNDS):
+    for _ in range(_POSE_ITERATIONS):
         end = jnp.where(is_stop, stop, start)
-        x, y, height = _place(family, u, v, end, is_hit, pose)
+        x, y, height = _tool_coordinates(family, u, v, end, is_hit, pose)
         node = tooth.when(cutter, x, y, height)
         pose = materialise(tooth.at(node))
         offset = tooth.offset(cutter, height)
@@ -347,9 +345,9 @@ def _lines(
     c: Float[Array, "u v"],
     center: Pose,
 ) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
-    """Return the rays of which the ends tell when all are cut.
+    """Coordinates of the rays whose ends determine when all rays are cut.
 
-    Those above each other see an upright straight side at the same time: one high up
+    Rays above each other see an upright straight side at the same time: one high up
     stands for all.
     """
     if center.axis is not None or cutter.has_helix or cutter.has_corner:
@@ -379,7 +377,7 @@ def _intersect_teeth(
     pose: Pose,
     tooth: ToothPass,
 ) -> tuple[Float[Array, "u v"], Float[Array, "u v"], Bool[Array, "u v"]]:
-    """Return what teeth cut in a pose, at any instant at which they look at rays."""
+    """Ends that teeth cut in a pose, at any instant at which they look at the rays."""
     offset = tooth.offset(cutter, jnp.zeros_like(b))
     start, stop, is_hit = _intersect(cutter, family, b, c, pose, offset)
     if not (cutter.has_runout and cutter.has_helix):
@@ -387,15 +385,16 @@ def _intersect_teeth(
     # On a helix the edge stands out by another part of the run-out higher up. Columns
     # meet an upright cutter from below alone.
     is_column = pose.axis is None and family == 2
-    found = []
+    intersections = []
     for end in (start,) if is_column else (start, stop):
-        height = _place(family, b, c, end, is_hit, pose)[2]
+        height = _tool_coordinates(family, b, c, end, is_hit, pose)[2]
         offset = tooth.offset(cutter, height)
-        found.append(_intersect(cutter, family, b, c, pose, offset))
-    return found[0][0], found[-1][1], found[0][2] & found[-1][2]
+        intersections.append(_intersect(cutter, family, b, c, pose, offset))
+    (start, _, starts), (_, stop, stops) = intersections[0], intersections[-1]
+    return start, stop, starts & stops
 
 
-def _place(
+def _tool_coordinates(
     family: Literal[0, 1, 2],
     b: Float[Array, "..."],
     c: Float[Array, "..."],
@@ -403,7 +402,7 @@ def _place(
     is_hit: Bool[Array, "..."],
     pose: Pose,
 ) -> tuple[Float[Array, "..."], Float[Array, "..."], Float[Array, "..."]]:
-    """Return where ends are, along tool x, y and axis from the tip [m].
+    """Coordinates of ends along tool x, y and axis from the tip [m].
 
     Of a ray that is not hit, the place nearest to the tool axis: a tooth that looks
     there may reach it yet.
@@ -436,21 +435,21 @@ def _place(
 
 
 def _turn_between(
-    ahead: Float[Array, "..."], aside: Float[Array, "..."]
+    along: Float[Array, "..."], across: Float[Array, "..."]
 ) -> Float[Array, "..."]:
-    """Return the angle from a direction to a vector, to 2e-5 rad.
+    """Angle from a direction to a vector [rad], to 2e-5.
 
     Args:
-        ahead: Part of the vector along the direction, any unit, shape (...).
-        aside: Part across it, the same unit, shape (...).
+        along: Part of the vector along the direction, any unit, shape (...).
+        across: Part across it, the same unit, shape (...).
 
     Returns:
-        arctan2(aside, ahead) [rad], shape (...), from -pi to pi; finite at zero.
+        arctan2(across, along) [rad], shape (...), from -pi to pi; finite at zero.
 
     **Differentiability**: smooth but straight behind and at zero, where it is zero; the
     slope is off by 1e-3 at most.
     """
-    x, y = jnp.abs(ahead), jnp.abs(aside)
+    x, y = jnp.abs(along), jnp.abs(across)
     greater = jnp.maximum(x, y)
     is_zero = greater < _TINY
     t = jnp.minimum(x, y) / jnp.where(is_zero, 1.0, greater)
@@ -460,5 +459,5 @@ def _turn_between(
         angle = angle * square + coefficient
     angle = angle * t
     angle = jnp.where(y > x, math.pi / 2 - angle, angle)
-    angle = jnp.where(ahead < 0, math.pi - angle, angle)
-    return jnp.where(is_zero, 0.0, jnp.where(aside < 0, -angle, angle))
+    angle = jnp.where(along < 0, math.pi - angle, angle)
+    return jnp.where(is_zero, 0.0, jnp.where(across < 0, -angle, angle))

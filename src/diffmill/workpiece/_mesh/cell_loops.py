@@ -10,37 +10,28 @@ parts a loop in each cell.
 """
 
 import functools
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Int, UInt8
-
-
-class _CellPair(NamedTuple):
-    """Rows of the cells below and above some faces."""
-
-    below: Int[np.ndarray, " face"]
-    above: Int[np.ndarray, " face"]
-
 
 # Corner number 4 x + 2 y + z; edge number 4 axis + 2 b + c with b, c the offsets
 # along the axes (axis + 1) % 3 and (axis + 2) % 3.
 
 
 def edge_number(axis: int, b: int, c: int) -> int:
-    """Return the number of an edge of a cell."""
+    """Number of an edge of a cell."""
     return 4 * axis + 2 * b + c
 
 
 def _corner(axis: int, along: int, b: int, c: int) -> int:
-    """Return the number of the corner at offsets along an axis and the next two."""
+    """Number of the corner at offsets along an axis and the next two."""
     offsets = [0, 0, 0]
     offsets[axis], offsets[(axis + 1) % 3], offsets[(axis + 2) % 3] = along, b, c
     return 4 * offsets[0] + 2 * offsets[1] + offsets[2]
 
 
 def face_edges(axis: int, side: int) -> tuple[int, int, int, int]:
-    """Return the edges around a face; edge k joins corner k and k + 1 of its ring."""
+    """Edges around a face; edge k joins corner k and k + 1 of its ring."""
     b, c = (axis + 1) % 3, (axis + 2) % 3
     # Corners (b, c): 00, 10, 11, 01. An edge along b has offsets (c, axis), one along
     # c has offsets (axis, b).
@@ -54,11 +45,11 @@ def face_edges(axis: int, side: int) -> tuple[int, int, int, int]:
 
 @functools.cache
 def _loops(config: int, flips: int) -> tuple[int, ...]:
-    """Return the loop of each edge of a cell, -1 for edges not crossed.
+    """Loop of each edge of a cell, -1 for edges not crossed.
 
     Args:
-        config: Bit k says whether corner k is inside.
-        flips: Bit 2 axis + side says whether a face joins around outside corners.
+        config: Bit k is 1 if corner k is inside.
+        flips: Bit 2 axis + side is 1 if a face joins around outside corners.
     """
     loop = [-1] * 12
     for axis in range(3):
@@ -78,7 +69,7 @@ def _loops(config: int, flips: int) -> tuple[int, ...]:
 
 
 def _segments(config: int, flips: int, axis: int, side: int) -> list[tuple[int, int]]:
-    """Return the pairs of edges that a face joins."""
+    """Pairs of edges that a face joins."""
     ring = [_corner(axis, side, b, c) for b, c in ((0, 0), (1, 0), (1, 1), (0, 1))]
     is_inside = [bool(config >> corner & 1) for corner in ring]
     edges = face_edges(axis, side)
@@ -96,14 +87,14 @@ def _segments(config: int, flips: int, axis: int, side: int) -> list[tuple[int, 
 def loop_table(
     config: Int[np.ndarray, " cell"], flips: Int[np.ndarray, " cell"]
 ) -> Int[np.ndarray, "cell 12"]:
-    """Return the loop of each edge of each cell, -1 for edges not crossed."""
+    """Loop of each edge of each cell, -1 for edges not crossed."""
     keys, index = np.unique(config * 64 + flips, return_inverse=True)
     rows = [_loops(int(key) >> 6, int(key) & 63) for key in keys]
     return np.array(rows, np.int8).reshape(-1, 12)[index.reshape(-1)].astype(np.int64)
 
 
 def cell_configs(inside: Bool[np.ndarray, "x y z"]) -> UInt8[np.ndarray, "i j k"]:
-    """Return which corners of each cell are inside, as bits."""
+    """Corners of each cell that are inside, as bits."""
     config = np.zeros([n - 1 for n in inside.shape], np.uint8)
     for corner in range(8):
         view = tuple(
@@ -114,27 +105,20 @@ def cell_configs(inside: Bool[np.ndarray, "x y z"]) -> UInt8[np.ndarray, "i j k"
     return config
 
 
-class CellLoops(NamedTuple):
+def find_loops(
+    inside: Bool[np.ndarray, "x y z"],
+) -> tuple[
+    Int[np.ndarray, "cell 3"], Int[np.ndarray, "i j k"], Int[np.ndarray, "cell 12"]
+]:
     """Cells that the surface passes, and the loops of their edges.
 
-    Attributes:
-        cells: Shape (cell, 3).
-        row: Place of each cell of the grid in that list, -1 for others, shape
-            (i, j, k).
-        loops: Loop of each edge of each cell, counted over all cells, -1 for edges not
-            crossed, shape (cell, 12).
-    """
-
-    cells: Int[np.ndarray, "cell 3"]
-    row: Int[np.ndarray, "i j k"]
-    loops: Int[np.ndarray, "cell 12"]
-
-
-def find_loops(inside: Bool[np.ndarray, "x y z"]) -> CellLoops:
-    """Return the cells that the surface passes, and the loops of their edges.
-
     Args:
-        inside: Which nodes are in the material; the outermost ones are not.
+        inside: True for nodes in the material; the outermost ones are not.
+
+    Returns:
+        The cells, shape (cell, 3); the row of each cell of the grid in that list, -1
+        for others, shape (i, j, k); and the loop of each edge of each cell, counted
+        over all cells, -1 for edges not crossed, shape (cell, 12).
     """
     configs = cell_configs(inside)
     cells = np.stack(np.nonzero((configs != 0) & (configs != 255)), axis=-1)
@@ -150,13 +134,13 @@ def find_loops(inside: Bool[np.ndarray, "x y z"]) -> CellLoops:
             break
     counts = local.max(axis=1, initial=-1) + 1
     first = np.concatenate([[0], np.cumsum(counts)[:-1]]).astype(np.int64)
-    return CellLoops(cells, row, np.where(local < 0, -1, local + first[:, None]))
+    return cells, row, np.where(local < 0, -1, local + first[:, None])
 
 
 def _ambiguous_faces(
     inside: Bool[np.ndarray, "x y z"], row: Int[np.ndarray, "i j k"]
-) -> list[_CellPair]:
-    """Return the cells below and above each face with a diagonal.
+) -> list[Int[np.ndarray, "2 _"]]:
+    """Rows of the cells below and above each face with a diagonal.
 
     Two groups for each axis: faces of one group have no cell in common, so that parting
     a loop at one of them leaves the others as they were.
@@ -172,16 +156,16 @@ def _ambiguous_faces(
         for parity in (0, 1):
             pick = plane % 2 == parity
             at = (plane[pick], p[pick], q[pick])
-            faces.append(_CellPair(rows[at[0] - 1, at[1], at[2]], rows[at]))
+            faces.append(np.stack([rows[at[0] - 1, at[1], at[2]], rows[at]]))
     return faces
 
 
 def _flip_pinched(
-    faces: list[_CellPair],
+    faces: list[Int[np.ndarray, "2 _"]],
     local: Int[np.ndarray, "cell 12"],
     flips: Int[np.ndarray, " cell"],
 ) -> bool:
-    """Flip, in place, faces whose segments join the same two loops; tell if any."""
+    """Flip, in place, faces whose segments join the same two loops; True if any do."""
     for group, (below, above) in enumerate(faces):
         axis = group // 2
         top = local[below][:, list(face_edges(axis, 1))]

@@ -21,13 +21,13 @@ from .mesh import Mesh
 if TYPE_CHECKING:
     from .._dexel.stock import Stock
 
-# Directions that the planes fix less than this, relative to the best fixed one, are
-# left where the mean of the crossings is.
+# Along directions that the planes fix less than this, relative to the best fixed one,
+# the mean of the crossings stands.
 _CUT_OFF = 0.1
 
 
 def surface_mesh(stock: "Stock") -> Mesh:
-    """Return the surface of a stock as a closed mesh, on the host.
+    """Surface of a stock as a closed mesh, on the host.
 
     Args:
         stock: The workpiece.
@@ -45,19 +45,18 @@ def surface_mesh(stock: "Stock") -> Mesh:
             "Argument `stock` must hold material at nodes of its grid, but holds none."
         )
     crossings = find_crossings(stock, inside)
-    found = find_loops(inside)
-    loops = found.loops
+    cells, row, loops = find_loops(inside)
     # Loops of the four cells around each crossing, anticlockwise about its axis.
     around = np.stack(
         [
-            _loop_of(crossings, found.row, loops, b, c)
+            _loop_of(crossings, row, loops, b, c)
             for b, c in ((1, 1), (0, 1), (0, 0), (1, 0))
         ],
         axis=-1,
     )
     cell_of_loop = np.empty((int(loops.max()) + 1, 3), np.int64)
     at, edge = np.nonzero(loops >= 0)
-    cell_of_loop[loops[at, edge]] = found.cells[at]
+    cell_of_loop[loops[at, edge]] = cells[at]
     vertices = _vertices(stock, crossings, around, cell_of_loop)
     return Mesh(vertices, _triangles(vertices, around, crossings))
 
@@ -69,7 +68,7 @@ def _loop_of(
     b: int,
     c: int,
 ) -> Int[np.ndarray, " crossing"]:
-    """Return the loop of the cell in which a crossing is the edge at offsets b, c."""
+    """Loop of the cell in which a crossing is the edge at offsets b, c."""
     cell = crossings.edge.copy()
     index = np.arange(len(cell))
     cell[index, (crossings.axis + 1) % 3] -= b
@@ -84,7 +83,7 @@ def _vertices(
     around: Int[np.ndarray, "crossing 4"],
     cell_of_loop: Int[np.ndarray, "loop 3"],
 ) -> Float[np.ndarray, "loop 3"]:
-    """Return the point of each loop that is nearest to the planes of its crossings."""
+    """Point of each loop that is nearest to the planes of its crossings [m]."""
     loop, count = around.ravel(), len(cell_of_loop)
     points = np.repeat(crossings.points, 4, axis=0)
     normals = np.repeat(crossings.normals, 4, axis=0)
@@ -114,31 +113,31 @@ def _least_squares_in_box(
     lower: Float[np.ndarray, "loop 3"],
     upper: Float[np.ndarray, "loop 3"],
 ) -> Float[np.ndarray, "loop 3"]:
-    """Return the least x with M x = r in the least-squares sense, within bounds.
+    """Least x with M x = r in the least-squares sense, within bounds.
 
-    A coordinate that leaves its bounds is held there, and the others are found again,
-    so that a vertex next to a sharp edge stays on the faces that meet there.
+    A coordinate that leaves its bounds is fixed there, and the others are solved for
+    again, so that a vertex next to a sharp edge stays on the faces that meet there.
     """
     largest = np.linalg.eigvalsh(matrix)[:, -1]
     x = np.zeros_like(right)
     is_free = np.ones_like(right, bool)
     pending = np.arange(len(x))
     for _ in range(3):
-        free, held = is_free[pending], np.where(is_free[pending], 0.0, x[pending])
-        rest = right[pending] - np.einsum("lij,lj->li", matrix[pending], held)
+        free, fixed = is_free[pending], np.where(is_free[pending], 0.0, x[pending])
+        residual = right[pending] - np.einsum("lij,lj->li", matrix[pending], fixed)
         part = matrix[pending] * (free[:, :, None] & free[:, None, :])
         values, axes = np.linalg.eigh(part)
         # Eigenvalues are squares of the singular values that the cut-off is about.
         is_fixed = values > _CUT_OFF**2 * largest[pending, None]
         inverse = np.where(is_fixed, 1 / np.where(is_fixed, values, 1.0), 0.0)
         step = np.einsum(
-            "lij,lj,lkj,lk->li", axes, inverse, axes, np.where(free, rest, 0.0)
+            "lij,lj,lkj,lk->li", axes, inverse, axes, np.where(free, residual, 0.0)
         )
-        found = np.where(free, step, held)
-        x[pending] = np.clip(found, lower[pending], upper[pending])
-        has_left_window = (found != x[pending]) & free
-        is_free[pending] &= ~has_left_window
-        pending = pending[has_left_window.any(axis=1)]
+        solution = np.where(free, step, fixed)
+        x[pending] = np.clip(solution, lower[pending], upper[pending])
+        is_outside = (solution != x[pending]) & free
+        is_free[pending] &= ~is_outside
+        pending = pending[is_outside.any(axis=1)]
         if not pending.size:
             break
     return x
@@ -149,7 +148,7 @@ def _triangles(
     around: Int[np.ndarray, "crossing 4"],
     crossings: Crossings,
 ) -> Int[np.ndarray, "face 3"]:
-    """Return two triangles for each crossing, split so that they face outward best."""
+    """Two triangles for each crossing, split so that they face outward best."""
     quads = np.where(crossings.is_upper[:, None], around, around[:, ::-1])
     splits = (((0, 1, 2), (0, 2, 3)), ((1, 2, 3), (1, 3, 0)))
     facing = []

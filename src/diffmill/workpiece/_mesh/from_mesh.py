@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import jax.numpy as jnp
 import numpy as np
@@ -29,7 +29,7 @@ def stock_from_mesh(
     interval_counts: Sequence[int] | None = None,
     dtype: type | jnp.dtype | None = None,
 ) -> Stock:
-    """Return the solid that a closed mesh bounds as stock.
+    """Stock of the solid that a closed mesh bounds.
 
     Args:
         mesh: A closed mesh, all triangles facing outward; shells may overlap.
@@ -57,8 +57,7 @@ def stock_from_mesh(
     smallest = interval_counts or (8, 8, 1)
     memory = Stock.memory_of_block(high - low, spacing, smallest, dtype.itemsize)
     check_memory(memory.needed, f"A stock of spacing {spacing:g} m")
-    grid = block_grid(low, high, spacing)
-    origin, counts = grid.origin, grid.counts
+    origin, counts = block_grid(low, high, spacing)
     solid = _solid(mesh)
     pieces = [_cast_family(solid, f, origin, counts, spacing) for f in range(3)]
     needed = [int(np.bincount(ray, minlength=1).max()) for ray, _ in pieces]
@@ -68,12 +67,19 @@ def stock_from_mesh(
             f"Argument `spacing` must be small enough for rays to meet the mesh, but "
             f"at {spacing:g} m no ray along {' and '.join(axes)} does."
         )
-    slots = _slots(needed, interval_counts)
+    slots = interval_counts
+    if slots is None:
+        slots = [max(n, 1) + room for n, room in zip(needed, _ROOM, strict=True)]
+    if any(n > count for n, count in zip(needed, slots, strict=True)):
+        raise ValueError(
+            f"Argument `interval_counts` is {slots}, but rays through the mesh have "
+            f"up to {tuple(needed)} intervals along x, y and z."
+        )
     memory = StockMemory.of_grid(counts.tolist(), slots, dtype.itemsize)
     check_memory(memory.needed, f"A stock of spacing {spacing:g} m")
     families = [
         _rays(
-            pieces[f],
+            *pieces[f],
             int(counts[(f + 1) % 3]),
             int(counts[(f + 2) % 3]),
             slots[f],
@@ -87,17 +93,6 @@ def stock_from_mesh(
         spacing=float(spacing),
         top=float(high[2]),
     )
-
-
-def _slots(needed: list[int], wanted: Sequence[int] | None) -> Sequence[int]:
-    if wanted is None:
-        return [max(n, 1) + room for n, room in zip(needed, _ROOM, strict=True)]
-    if any(n > w for n, w in zip(needed, wanted, strict=True)):
-        raise ValueError(
-            f"Argument `interval_counts` is {wanted}, but rays through the mesh have "
-            f"up to {tuple(needed)} intervals along x, y and z."
-        )
-    return wanted
 
 
 def _solid(mesh: Mesh) -> "manifold3d.Manifold":
@@ -114,43 +109,44 @@ def _solid(mesh: Mesh) -> "manifold3d.Manifold":
     return solid
 
 
-class _Pieces(NamedTuple):
-    """Pieces of material on the rays of a family.
-
-    Attributes:
-        ray: The number u * len(v) + v of each piece's ray, ascending, shape (piece,).
-        ends: Its ends [m], shape (piece, 2).
-    """
-
-    ray: Int[np.ndarray, " piece"]
-    ends: Float[np.ndarray, "piece 2"]
-
-
 def _cast_family(
     solid: "manifold3d.Manifold",
     family: int,
     origin: Float[np.ndarray, " 3"],
     counts: Int[np.ndarray, " 3"],
     spacing: float,
-) -> _Pieces:
-    """Return the pieces of material on all rays of a family."""
+) -> tuple[Int[np.ndarray, " piece"], Float[np.ndarray, "piece 2"]]:
+    """Pieces of material on all rays of a family.
+
+    Slivers are left out, and pieces that only rounding parts are one.
+
+    Returns:
+        The number u * len(v) + v of each piece's ray, ascending, shape (piece,), and
+        the ends of the piece [m], shape (piece, 2).
+    """
     b, c = (family + 1) % 3, (family + 2) % 3
     start, stop = [0.0] * 3, [0.0] * 3
     start[family] = float(origin[family])
     stop[family] = float(origin[family] + (counts[family] - 1) * spacing)
-    rays, ends = [], []
+    numbers, pieces = [], []
     for u in range(MARGIN, counts[b] - MARGIN):
         start[b] = stop[b] = float(origin[b] + u * spacing)
         for v in range(MARGIN, counts[c] - MARGIN):
             start[c] = stop[c] = float(origin[c] + v * spacing)
             for piece in _pieces(solid.ray_cast(start, stop), family):
-                rays.append(u * int(counts[c]) + v)
-                ends.append(piece)
-    return _merged(np.array(rays, np.int64), np.array(ends).reshape(-1, 2))
+                numbers.append(u * int(counts[c]) + v)
+                pieces.append(piece)
+    ray, ends = np.array(numbers, np.int64), np.array(pieces).reshape(-1, 2)
+    is_long = ends[:, 1] - ends[:, 0] > _SHORTEST
+    ray, ends = ray[is_long], ends[is_long]
+    is_next = (ray[1:] == ray[:-1]) & (ends[1:, 0] - ends[:-1, 1] <= _SHORTEST)
+    first = np.flatnonzero(np.append(True, ~is_next))[: len(ray)]
+    last = np.append(first[1:], len(ray))[: len(first)] - 1
+    return ray[first], np.stack([ends[first, 0], ends[last, 1]], axis=-1)
 
 
 def _pieces(hits: "list[manifold3d.RayHit]", family: int) -> list[tuple[float, float]]:
-    """Return the pieces of material between the hits of one ray, in order."""
+    """Pieces of material between the hits of one ray [m], in order."""
     pieces, depth, low = [], 0, 0.0
     for hit in hits:
         # Where shells overlap a ray may enter twice before it leaves.
@@ -163,31 +159,19 @@ def _pieces(hits: "list[manifold3d.RayHit]", family: int) -> list[tuple[float, f
     return pieces
 
 
-def _merged(
-    ray: Int[np.ndarray, " piece"], ends: Float[np.ndarray, "piece 2"]
-) -> _Pieces:
-    """Return the pieces without slivers, those that only rounding parts as one."""
-    is_long = ends[:, 1] - ends[:, 0] > _SHORTEST
-    ray, ends = ray[is_long], ends[is_long]
-    is_next = (ray[1:] == ray[:-1]) & (ends[1:, 0] - ends[:-1, 1] <= _SHORTEST)
-    first = np.flatnonzero(np.append(True, ~is_next))[: len(ray)]
-    last = np.append(first[1:], len(ray))[: len(first)] - 1
-    return _Pieces(ray[first], np.stack([ends[first, 0], ends[last, 1]], axis=-1))
-
-
 def _rays(
-    pieces: _Pieces,
+    ray: Int[np.ndarray, " piece"],
+    piece_ends: Float[np.ndarray, "piece 2"],
     row_count: int,
     column_count: int,
     slot_count: int,
     dtype: jnp.dtype,
 ) -> Rays:
-    """Return the pieces as rays with a fixed number of slots."""
-    ray, piece_ends = pieces
+    """Rays of some pieces, with a fixed number of slots."""
     shape = (row_count, column_count, 2, slot_count)
     ends = np.empty(shape)
     ends[:, :, 0], ends[:, :, 1] = Rays.DEAD, -Rays.DEAD
-    # How many pieces of the same ray come before.
+    # Number of pieces of the same ray before each one.
     slot = np.arange(len(ray)) - np.searchsorted(ray, ray)
     ends[ray // shape[1], ray % shape[1], :, slot] = piece_ends
     return Rays(jnp.asarray(ends, dtype), jnp.full(shape, -1, dtype=jnp.int32))

@@ -8,7 +8,7 @@ over a sharp edge. A ray that meets the surface at a shallow angle knows its slo
 badly; it takes the normal of the head-on crossing nearby in whose plane it lies.
 """
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, TypeAlias
 
 import equinox as eqx
 import jax
@@ -21,11 +21,11 @@ if TYPE_CHECKING:
     from .._dexel.stock import Stock
 
 # Ends on the next ray belong to the same sheet within this many spacings.
-_SHEET = 2.0
+_SHEET_SPACINGS = 2.0
 # A slope is sure if the sheet bends less than this from ray to ray, in spacings.
-_BEND = 0.1
+_SURE_BEND = 0.1
 # Above this squared slope a family sees a plane less head-on than another one does.
-_STEEP = 3.0
+_HEAD_ON_SQUARE = 3.0
 # Neighbours to borrow a normal from: how many, within how many spacings.
 _NEIGHBOURS, _REACH = 16, 3.0
 # A normal is borrowed if the crossing is within this many spacings of the plane; on a
@@ -36,6 +36,10 @@ _SAME_OFF, _SAME_COSINE = 0.02, 0.9999
 # Arrays on the nodes of the grid, their temporaries included [byte per node].
 _NODE_BYTES = 32
 
+# One for each of n rays.
+_Mask: TypeAlias = Bool[np.ndarray, " n"]
+_Values: TypeAlias = Float[np.ndarray, " n"]
+
 
 class Crossings(eqx.Module):
     """Crossings of the surface with the edges of the grid, padded by one.
@@ -45,7 +49,7 @@ class Crossings(eqx.Module):
         normals: Outward unit normals, shape (crossing, 3).
         edge: First node of the edge on the padded grid, shape (crossing, 3).
         axis: Axis of the edge, shape (crossing,).
-        is_upper: Whether the material is below along the axis, shape (crossing,).
+        is_upper: True if the material is below along the axis, shape (crossing,).
     """
 
     points: Float[np.ndarray, "crossing 3"]
@@ -56,7 +60,7 @@ class Crossings(eqx.Module):
 
 
 def inside_nodes(stock: "Stock") -> Bool[np.ndarray, "x y z"]:
-    """Return which nodes of the grid are in the material.
+    """Nodes of the grid that are in the material.
 
     Args:
         stock: The workpiece.
@@ -80,7 +84,7 @@ def inside_nodes(stock: "Stock") -> Bool[np.ndarray, "x y z"]:
 
 
 def _filled(stock: "Stock", family: int, count: int) -> Int[np.ndarray, "u v node"]:
-    """Return 1 where a node lies within an interval of its ray."""
+    """Counts of 1 where a node lies within an interval of its ray."""
     ends = np.asarray(stock.families[family].ends, np.float64)
     at = (ends - float(stock.origin[family])) / stock.spacing
     start = np.clip(np.ceil(at[:, :, 0]), 0, count).astype(np.int64)
@@ -94,36 +98,22 @@ def _filled(stock: "Stock", family: int, count: int) -> Int[np.ndarray, "u v nod
 
 
 def find_crossings(stock: "Stock", inside: Bool[np.ndarray, "x y z"]) -> Crossings:
-    """Return all crossings with their normals.
+    """All crossings with their normals.
 
     Args:
         stock: The workpiece.
         inside: The nodes in the material, as `inside_nodes` returns them.
     """
     families = [_family_crossings(stock, inside, f) for f in range(3)]
-    found = jax.tree.map(lambda *parts: np.concatenate(parts), *families)
-    return _with_borrowed_normals(
-        found.crossings, found.is_sure, found.is_fair, stock.spacing
-    )
-
-
-class _FamilyCrossings(NamedTuple):
-    """Crossings of one family of rays, and how far their normals are to be trusted.
-
-    Attributes:
-        crossings: The crossings.
-        is_sure: Whether the normal needs no other one, shape (crossing,).
-        is_fair: Whether it is known at all, shape (crossing,).
-    """
-
-    crossings: Crossings
-    is_sure: Bool[np.ndarray, " crossing"]
-    is_fair: Bool[np.ndarray, " crossing"]
+    joined = jax.tree.map(lambda *parts: np.concatenate(parts), *families)
+    crossings, is_sure, is_fair = joined
+    return _with_borrowed_normals(crossings, is_sure, is_fair, stock.spacing)
 
 
 def _family_crossings(
     stock: "Stock", inside: Bool[np.ndarray, "x y z"], family: int
-) -> _FamilyCrossings:
+) -> tuple[Crossings, _Mask, _Mask]:
+    """Crossings of a family; True if the normal needs no other one; if it is known."""
     b, c = (family + 1) % 3, (family + 2) % 3
     d, origin = stock.spacing, np.asarray(stock.origin, np.float64)
     nodes = np.moveaxis(inside, family, -1)
@@ -132,18 +122,18 @@ def _family_crossings(
     is_upper = inside[tuple(edge.T)]
     # Rays are not padded.
     u, v, node = edge[:, b] - 1, edge[:, c] - 1, edge[:, family] - 1
+    rays = np.stack([u, v], axis=-1)
     ends = np.asarray(stock.families[family].ends, np.float64)
     first = origin[family] + node * d
-    near = _nearest_end(ends, _RayPlaces(u, v), is_upper, first + d / 2)
+    values, has_end = _nearest_end(ends, rays, is_upper, first + d / 2)
     # Families differ in rounding: keep the point on its edge.
-    values = np.clip(near.value, first, first + d)
-    values = np.where(near.is_found, values, first + d / 2)
+    values = np.where(has_end, np.clip(values, first, first + d), first + d / 2)
     slopes = []
-    is_sure = is_fair = near.is_found
+    is_sure = is_fair = has_end
     for axis in (0, 1):
-        sheet = _slope(ends, _RayPlaces(u, v), axis, is_upper, values, d)
-        slopes.append(sheet.slope)
-        is_sure, is_fair = is_sure & sheet.is_sure, is_fair & sheet.is_known
+        slope, is_sure_slope, is_known = _slope(ends, rays, axis, is_upper, values, d)
+        slopes.append(slope)
+        is_sure, is_fair = is_sure & is_sure_slope, is_fair & is_known
     points, normals = np.empty((len(u), 3)), np.empty((len(u), 3))
     points[:, family] = values
     points[:, b], points[:, c] = origin[b] + u * d, origin[c] + v * d
@@ -156,81 +146,52 @@ def _family_crossings(
         -side * slopes[1] / length,
     )
     axis = np.full(len(u), family)
-    is_head_on = steepness <= _STEEP
+    is_head_on = steepness <= _HEAD_ON_SQUARE
     sure, fair = is_sure & is_head_on, is_fair & is_head_on
-    found = Crossings(points, normals, edge, axis, is_upper)
-    return _FamilyCrossings(found, sure, fair)
-
-
-class _RayPlaces(NamedTuple):
-    """Places of rays in the grid of their family, shape (n,) each."""
-
-    u: Int[np.ndarray, " n"]
-    v: Int[np.ndarray, " n"]
-
-    def moved(self, axis: int, count: int) -> "_RayPlaces":
-        """Return the rays that are so many places further along an axis of the grid."""
-        return _RayPlaces(self.u + count * (axis == 0), self.v + count * (axis == 1))
-
-
-class _NearestEnd(NamedTuple):
-    """End of a ray that is nearest to a value, if there is one, shape (n,) each."""
-
-    value: Float[np.ndarray, " n"]
-    is_found: Bool[np.ndarray, " n"]
+    return Crossings(points, normals, edge, axis, is_upper), sure, fair
 
 
 def _nearest_end(
     ends: Float[np.ndarray, "u v 2 slot"],
-    rays: _RayPlaces,
-    is_upper: Bool[np.ndarray, " n"],
-    value: Float[np.ndarray, " n"],
-) -> _NearestEnd:
-    """Return the end of a ray on one side that is nearest to a value, if any."""
-    u, v = rays
+    rays: Int[np.ndarray, "n 2"],
+    is_upper: _Mask,
+    value: _Values,
+) -> tuple[_Values, _Mask]:
+    """End of a ray on one side that is nearest to a value [m]; True if there is one."""
+    u, v = rays.T
     is_ray = (u >= 0) & (v >= 0) & (u < ends.shape[0]) & (v < ends.shape[1])
     ray = ends[np.where(is_ray, u, 0), np.where(is_ray, v, 0)]
     is_live = (ray[:, 1] > ray[:, 0]) & is_ray[:, None]
     side = np.where(is_upper[:, None], ray[:, 1], ray[:, 0])
     away = np.where(is_live, np.abs(side - value[:, None]), np.inf)
     slot = np.argmin(away, axis=-1)[:, None]
-    is_found = np.isfinite(np.take_along_axis(away, slot, axis=-1)[:, 0])
-    found = np.take_along_axis(side, slot, axis=-1)[:, 0]
-    return _NearestEnd(np.where(is_found, found, value), is_found)
-
-
-class _Sheet(NamedTuple):
-    """Slope of a sheet across the rays [-], and its trust, shape (n,) each."""
-
-    slope: Float[np.ndarray, " n"]
-    is_sure: Bool[np.ndarray, " n"]
-    is_known: Bool[np.ndarray, " n"]
+    has_end = np.isfinite(np.take_along_axis(away, slot, axis=-1)[:, 0])
+    nearest = np.take_along_axis(side, slot, axis=-1)[:, 0]
+    return np.where(has_end, nearest, value), has_end
 
 
 def _slope(
     ends: Float[np.ndarray, "u v 2 slot"],
-    rays: _RayPlaces,
+    rays: Int[np.ndarray, "n 2"],
     axis: int,
-    is_upper: Bool[np.ndarray, " n"],
-    value: Float[np.ndarray, " n"],
+    is_upper: _Mask,
+    value: _Values,
     spacing: float,
-) -> _Sheet:
-    """Return the slope of the sheet across the rays, along one axis of their grid.
+) -> tuple[_Values, _Mask, _Mask]:
+    """Slope of the sheet across the rays [-]; True if it is sure; if it is known.
 
+    The slope is that along one axis of the grid of the rays.
     Of the differences to both sides and the central one, that with the least second
     difference wins, for it does not reach over a sharp edge.
     """
     sides = []
     for sign in (-1, 1):
-        near, is_near = _next_end(
-            ends, rays.moved(axis, sign), is_upper, value, spacing
-        )
-        far, is_far = _next_end(
-            ends, rays.moved(axis, 2 * sign), is_upper, near, spacing
-        )
+        step = sign * np.eye(2, dtype=np.int64)[axis]
+        near, is_near = _next_end(ends, rays + step, is_upper, value, spacing)
+        far, is_far = _next_end(ends, rays + 2 * step, is_upper, near, spacing)
         bend = np.abs(value - 2 * near + far)
         # With one neighbour only the flatter side is the safer one, but never sure.
-        bend = np.where(is_far, bend, np.abs(near - value) + _BEND * spacing)
+        bend = np.where(is_far, bend, np.abs(near - value) + _SURE_BEND * spacing)
         slope = np.where(is_far, 3 * value - 4 * near + far, 2 * (value - near))
         sides.append(
             (
@@ -250,21 +211,21 @@ def _slope(
     slope = np.where(is_known, slope, 0.0)
     least = np.minimum(bend, np.minimum(bend_low, bend_high))
     # Seen at an angle, the same curvature bends the sheet more.
-    is_sure = least <= _BEND * spacing * (1 + slope**2) ** 1.5
-    return _Sheet(slope, is_sure, is_known)
+    is_sure = least <= _SURE_BEND * spacing * (1 + slope**2) ** 1.5
+    return slope, is_sure, is_known
 
 
 def _next_end(
     ends: Float[np.ndarray, "u v 2 slot"],
-    rays: _RayPlaces,
-    is_upper: Bool[np.ndarray, " n"],
-    value: Float[np.ndarray, " n"],
+    rays: Int[np.ndarray, "n 2"],
+    is_upper: _Mask,
+    value: _Values,
     spacing: float,
-) -> _NearestEnd:
-    """Return the end of the same sheet on other rays, where there is one."""
-    found, is_found = _nearest_end(ends, rays, is_upper, value)
-    is_near = np.abs(found - value) <= _SHEET * spacing
-    return _NearestEnd(found, is_found & is_near)
+) -> tuple[_Values, _Mask]:
+    """End of the same sheet on other rays [m]; True if there is one."""
+    nearest, has_end = _nearest_end(ends, rays, is_upper, value)
+    is_near = np.abs(nearest - value) <= _SHEET_SPACINGS * spacing
+    return nearest, has_end & is_near
 
 
 def _with_borrowed_normals(
@@ -273,7 +234,7 @@ def _with_borrowed_normals(
     is_fair: Bool[np.ndarray, " crossing"],
     spacing: float,
 ) -> Crossings:
-    """Return the crossings, the unsure normals replaced by those of a plane nearby."""
+    """Crossings whose unsure normals are replaced by those of a plane nearby."""
     from scipy.spatial import KDTree
 
     sure, unsure = np.flatnonzero(is_sure), np.flatnonzero(~is_sure)

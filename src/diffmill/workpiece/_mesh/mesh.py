@@ -1,4 +1,4 @@
-"""A closed surface of triangles, and what can be wrong with one."""
+"""A closed surface of triangles, and its faults."""
 
 import math
 from typing import ClassVar
@@ -9,10 +9,10 @@ from jaxtyping import Float, Int
 
 from .signed_distance import SignedDistance
 
-# A volume so small of the box around a mesh is none.
-_FLAT = 1e-9
+# A volume below this share of the box around a mesh is none.
+_NO_VOLUME_SHARE = 1e-9
 # A point so close to a triangle, in sizes of it, is on it.
-_IN_PLANE = 1e-6
+_ON_TRIANGLE = 1e-6
 
 
 class Mesh(eqx.Module):
@@ -30,24 +30,24 @@ class Mesh(eqx.Module):
     faces: Int[np.ndarray, "face 3"]
 
     def volume(self) -> float:
-        """Return the enclosed volume [m^3]; negative if the mesh is inside out."""
+        """Enclosed volume [m^3]; negative if the mesh is inside out."""
         return float(self._cone_volumes().sum())
 
     def extent_volume(self) -> float:
-        """Return the volume of the box around the mesh [m^3]."""
+        """Volume of the box around the mesh [m^3]."""
         return float(np.prod(np.ptp(self.vertices, axis=0)))
 
     def open_edge_count(self) -> int:
-        """Return how many edges lack a triangle on their other side."""
+        """Number of edges without a triangle on their other side."""
         surplus = self._edge_surplus()
         return int(np.abs(surplus).sum())
 
     def flipped_edge_count(self) -> int:
-        """Return how many edges two triangles run along in the same direction."""
+        """Number of edges along which two triangles run in the same direction."""
         return int((np.abs(self._edge_surplus()) == 2).sum())
 
     def inward_shell_count(self) -> int:
-        """Return how many closed shells face inward, but are no cavities."""
+        """Number of closed shells that face inward, but are no cavities."""
         from scipy.sparse import coo_array
         from scipy.sparse.csgraph import connected_components
 
@@ -57,7 +57,7 @@ class Mesh(eqx.Module):
         shell_count, shell_of = connected_components(edges, directed=False)
         shell_of = shell_of[self.faces[:, 0]]
         volume = np.bincount(shell_of, self._cone_volumes(), shell_count)
-        inward = np.flatnonzero(volume < -_FLAT * self.extent_volume())
+        inward = np.flatnonzero(volume < -_NO_VOLUME_SHARE * self.extent_volume())
         first = [np.argmax(shell_of == shell) for shell in inward]
         middles = self.vertices[self.faces[first]].mean(axis=1)
         bodies = Mesh(self.vertices, self.faces[volume[shell_of] > 0])
@@ -65,12 +65,8 @@ class Mesh(eqx.Module):
         return sum(bodies._winding(point) < 0.25 for point in middles)
 
     def signed_distance(self) -> SignedDistance:
-        """Return the distance of points to the mesh, closed and of like triangles."""
+        """Distance of points to the mesh, closed and of like triangles."""
         return SignedDistance(self.vertices, self.faces)
-
-    def _relative_corners(self) -> Float[np.ndarray, "3 face 3"]:
-        # About the middle: far from the origin the terms would cancel.
-        return self._corners_from(self.vertices.mean(axis=0))
 
     def _corners_from(
         self, point: Float[np.ndarray, " 3"]
@@ -78,12 +74,13 @@ class Mesh(eqx.Module):
         return np.swapaxes((self.vertices - point)[self.faces], 0, 1)
 
     def _cone_volumes(self) -> Float[np.ndarray, " face"]:
-        """Return the signed volume between each triangle and the middle [m^3]."""
-        a, b, c = self._relative_corners()
+        """Signed volume between each triangle and the middle [m^3]."""
+        # About the middle: far from the origin the terms would cancel.
+        a, b, c = self._corners_from(self.vertices.mean(axis=0))
         return np.einsum("ij,ij->i", a, np.cross(b, c)) / 6
 
     def _winding(self, point: Float[np.ndarray, " 3"]) -> float:
-        """Return how often the mesh goes around a point; on it the mean of both sides.
+        """Winding number of the mesh about a point; on it the mean of both sides.
 
         A. van Oosterom and J. Strackee, The solid angle of a plane triangle, IEEE
         Transactions on Biomedical Engineering 30, 1983, equation 8.
@@ -91,14 +88,15 @@ class Mesh(eqx.Module):
         a, b, c = self._corners_from(point)
         x, y, z = (np.linalg.norm(corner, axis=1) for corner in (a, b, c))
         triple, size = (a * np.cross(b, c)).sum(axis=1), x * y * z
-        rest = size + sum(
+        denominator = size + sum(
             (p * q).sum(axis=1) * r for p, q, r in ((a, b, z), (b, c, x), (c, a, y))
         )
-        half = np.where(np.abs(triple) > _IN_PLANE * size, np.arctan2(triple, rest), 0)
+        angle = np.arctan2(triple, denominator)
+        half = np.where(np.abs(triple) > _ON_TRIANGLE * size, angle, 0)
         return float(half.sum()) / (2 * math.pi)
 
     def _edge_surplus(self) -> Int[np.ndarray, " edge"]:
-        """Return for each edge the triangles along it minus those against it."""
+        """Number of triangles along each edge minus those against it."""
         start = self.faces.ravel()
         stop = np.roll(self.faces, -1, axis=1).ravel()
         low, high = np.minimum(start, stop), np.maximum(start, stop)
@@ -110,7 +108,7 @@ class Mesh(eqx.Module):
 
 
 def weld(mesh: Mesh, tolerance: float = 0.0) -> Mesh:
-    """Return a mesh whose equal vertices are one, without collapsed triangles.
+    """Mesh whose equal vertices are one, without collapsed triangles.
 
     Args:
         mesh: Any mesh; formats such as STL repeat the corners of every triangle.
@@ -137,7 +135,7 @@ def weld(mesh: Mesh, tolerance: float = 0.0) -> Mesh:
 
 
 def vertex_fault(mesh: Mesh) -> str | None:
-    """Return what keeps vertices from being points of a part, or None."""
+    """Fault of vertices that are no points of a part, as text; None without one."""
     if not np.isfinite(mesh.vertices).all():
         count = int((~np.isfinite(mesh.vertices)).any(axis=1).sum())
         return f"found {count} vertices that are not finite"
@@ -151,7 +149,7 @@ def vertex_fault(mesh: Mesh) -> str | None:
 
 
 def mesh_fault(mesh: Mesh) -> str | None:
-    """Return what keeps a welded mesh from bounding a solid, or None.
+    """Fault of a welded mesh that bounds no solid, as text; None if there is none.
 
     Args:
         mesh: A mesh whose equal vertices are one.
@@ -168,7 +166,7 @@ def mesh_fault(mesh: Mesh) -> str | None:
     if open_edges := mesh.open_edge_count():
         return f"found {open_edges} open edges; a closed surface is required"
     volume, extent = mesh.volume(), mesh.extent_volume()
-    if abs(volume) <= _FLAT * extent or extent == 0:
+    if abs(volume) <= _NO_VOLUME_SHARE * extent or extent == 0:
         return "found a surface that encloses no volume"
     if volume < 0:
         return (

@@ -7,8 +7,6 @@ Reference: Baerentzen, Aanaes, Signed distance computation using the angle weigh
 pseudonormal, 2005, for the sign.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 from jaxtyping import Float, Int
 
@@ -16,18 +14,6 @@ from jaxtyping import Float, Int
 _CANDIDATES = 24
 # Points at a time: bounds the memory.
 _CHUNK = 5_000
-
-
-class Distances(NamedTuple):
-    """Distances of points from a surface.
-
-    Attributes:
-        distance: Positive outside [m], shape (n,).
-        normal: Outward unit normals at the nearest places, shape (n, 3).
-    """
-
-    distance: Float[np.ndarray, " n"]
-    normal: Float[np.ndarray, "n 3"]
 
 
 class SignedDistance:
@@ -58,24 +44,35 @@ class SignedDistance:
         self._radii = away.max(axis=1)
         self._tree = KDTree(middles)
 
-    def __call__(self, points: Float[np.ndarray, "n 3"]) -> Distances:
-        """Return the distances of points [m], shape (n, 3)."""
+    def __call__(
+        self, points: Float[np.ndarray, "n 3"]
+    ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n 3"]]:
+        """Distances of points, and outward unit normals at the nearest places.
+
+        Args:
+            points: Points [m], shape (n, 3).
+
+        Returns:
+            Distances [m], positive outside, shape (n,), and normals, shape (n, 3).
+        """
         distance, normal = np.empty(len(points)), np.empty((len(points), 3))
         for first in range(0, len(points), _CHUNK):
             part = slice(first, first + _CHUNK)
             distance[part], normal[part] = self._nearest(points[part])
-        return Distances(distance, normal)
+        return distance, normal
 
-    def _nearest(self, points: Float[np.ndarray, "n 3"]) -> Distances:
-        """Return the distances from the nearest triangles."""
+    def _nearest(
+        self, points: Float[np.ndarray, "n 3"]
+    ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n 3"]]:
+        """Distances from the nearest triangles [m], and normals there."""
         count = min(_CANDIDATES, len(self._corners))
         apart, near = self._tree.query(points, k=count)
         apart, near = (x.reshape(len(points), -1) for x in (apart, near))
         # None is nearer than its middle less its radius, and one as near as its middle.
         may_be = apart - self._radii[near] <= apart[:, :1]
         row, triangle = np.nonzero(may_be)[0], near[may_be]
-        nearest = closest_on_triangles(points[row], self._corners[triangle])
-        away, feature = points[row] - nearest.points, nearest.feature
+        feet, feature = closest_on_triangles(points[row], self._corners[triangle])
+        away = points[row] - feet
         square = np.einsum("ni,ni->n", away, away)
         least = np.minimum.reduceat(square, np.flatnonzero(np.diff(row, prepend=-1)))
         is_best = np.flatnonzero(square == least[row])
@@ -83,7 +80,7 @@ class SignedDistance:
         away, normal = away[best], self._normals[triangle[best], feature[best]]
         is_inside = np.einsum("ni,ni->n", away, normal) < 0
         length = np.sqrt(least)
-        return Distances(np.where(is_inside, -length, length), normal)
+        return np.where(is_inside, -length, length), normal
 
 
 def _feature_normals(
@@ -92,7 +89,7 @@ def _feature_normals(
     corners: Float[np.ndarray, "face 3 3"],
     flat: Float[np.ndarray, "face 3"],
 ) -> Float[np.ndarray, "face 7 3"]:
-    """Return the normals of each triangle's three corners, three edges and itself.
+    """Unit normals of each triangle's three corners, three edges and itself.
 
     Edge k runs from corner k to the next one.
     """
@@ -114,34 +111,25 @@ def _feature_normals(
     return np.where(length > 1e-9, normals / np.maximum(length, 1e-9), flat[:, None])
 
 
-class ClosestPoints(NamedTuple):
-    """Nearest points of triangles, and where on them these are.
-
-    Attributes:
-        points: [m], shape (n, 3).
-        feature: 0 to 2 for a corner, 3 to 5 for the edge from corner 0, 1, 2 to the
-            next, 6 inside, shape (n,).
-    """
-
-    points: Float[np.ndarray, "n 3"]
-    feature: Int[np.ndarray, " n"]
-
-
 def closest_on_triangles(
     points: Float[np.ndarray, "n 3"], corners: Float[np.ndarray, "n 3 3"]
-) -> ClosestPoints:
-    """Return the nearest point of a triangle to each point.
+) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, " n"]]:
+    """Nearest point of a triangle to each point, and the feature on which it lies.
 
     Args:
         points: Points [m], shape (n, 3).
         corners: Corners of the triangles [m], shape (n, 3, 3).
+
+    Returns:
+        Nearest points [m], shape (n, 3), and features: 0 to 2 for a corner, 3 to 5 for
+        the edge from corner 0, 1, 2 to the next, 6 inside, shape (n,).
     """
     row = np.arange(len(points))
     side = np.roll(corners, -1, axis=1) - corners
     normal = np.cross(side[:, 0], side[:, 1])
     area = np.einsum("ni,ni->n", normal, normal)
     from_corner = points[:, None] - corners
-    # Where along each side the foot is, 0 to 1.
+    # Place of the foot along each side, 0 to 1.
     length = np.einsum("nei,nei->ne", side, side)
     t = np.clip(np.einsum("nei,nei->ne", from_corner, side) / length, 0, 1)
     feet = corners + t[..., None] * side
@@ -156,4 +144,4 @@ def closest_on_triangles(
     height = np.einsum("ni,ni->n", from_corner[:, 0], normal) / area
     flat_foot = points - height[..., None] * normal
     foot = np.where(is_inside[:, None], flat_foot, foot)
-    return ClosestPoints(foot, np.where(is_inside, 6, feature))
+    return foot, np.where(is_inside, 6, feature)

@@ -5,7 +5,7 @@ stock becomes a mesh, and each point gets its distance to the nearest triangle, 
 way the surface faces there: walls, floors and slopes are treated alike.
 
 The measure goes one way: a rib of the ideal that was cut off altogether shows only in
-the points of what was left of it.
+the points of its foot.
 """
 
 import math
@@ -19,7 +19,7 @@ from .._dexel.stock import Stock
 
 # Rays and ends this close, in spacings, are the same: the grid of a mesh from a file is
 # off by the rounding of its vertices.
-_SAME = 1e-3
+_SAME_SPACINGS = 1e-3
 
 
 class SurfaceMeasures(eqx.Module):
@@ -29,10 +29,10 @@ class SurfaceMeasures(eqx.Module):
         wall_mean: Mean signed error of the walls [m], positive: material left.
         wall_rms: Root mean square error of the walls [m].
         wall_p95: 95 % of the walls' points are closer to the ideal surface [m].
-        floor_mean: As `wall_mean`, of the floors [m].
-        floor_rms: As `wall_rms` [m].
-        floor_p95: As `wall_p95` [m].
-        deepest: How far the tool cut into the ideal part at most [m], at least 0.
+        floor_mean: Mean signed error of the floors [m].
+        floor_rms: Root mean square error of the floors [m].
+        floor_p95: 95 % of the floors' points are closer to the ideal surface [m].
+        deepest: Largest depth of the cut into the ideal part [m], at least 0.
     """
 
     wall_mean: float
@@ -53,10 +53,10 @@ class SurfaceError(eqx.Module):
             standing, negative where too much was cut, shape (n,).
         normal: Outward unit normal of the ideal surface at its nearest place,
             shape (n, 3).
-        is_floor: Whether that normal is within 45 degrees of the z axis (floors, tops
+        is_floor: True if that normal is within 45 degrees of the z axis (floors, tops
             and undersides), else a wall, shape (n,).
-        is_cut: Whether a tool pose cut the point; False on raw faces, shape (n,).
-        family: Axis of the ray that found the point, shape (n,).
+        is_cut: True if a tool pose cut the point; False on raw faces, shape (n,).
+        family: Axis of the ray on which the point lies, shape (n,).
     """
 
     points: Float[np.ndarray, "n 3"]
@@ -70,14 +70,14 @@ class SurfaceError(eqx.Module):
     def of_stock(
         machined: Stock, ideal: Stock, *, leaves_out_raw: bool = False
     ) -> "SurfaceError":
-        """Return how far every ray end of a machined stock is from the ideal surface.
+        """Distance of every ray end of a machined stock from the ideal surface.
 
         Args:
             machined: The stock as it was cut.
             ideal: The stock as it should be, for example cut by the desired path, or
                 from a mesh of the part; its grid may be another one.
-            leaves_out_raw: Whether points that no tool cut, and that the ideal stock
-                has too, are left out.
+            leaves_out_raw: True to leave out points that no tool cut, and that the
+                ideal stock has too.
 
         Returns:
             One row for each end of each ray of all three families, but for rays that
@@ -90,16 +90,22 @@ class SurfaceError(eqx.Module):
         Raises:
             ValueError: The ideal stock holds no material.
         """
-        found = SurfaceError.of_stocks([machined], ideal, leaves_out_raw=leaves_out_raw)
-        return found[0]
+        (error,) = SurfaceError.of_stocks(
+            [machined], ideal, leaves_out_raw=leaves_out_raw
+        )
+        return error
 
     @staticmethod
     def of_stocks(
         machined: Sequence[Stock], ideal: Stock, *, leaves_out_raw: bool = False
     ) -> "list[SurfaceError]":
-        """Return the surface errors of some stocks against one ideal, meshed once.
+        """Surface errors of some stocks against one ideal, meshed once.
 
-        Arguments, errors and what is returned as of `of_stock`.
+        Args:
+            machined: The stocks as they were cut.
+            ideal: The stock as it should be, see `of_stock`.
+            leaves_out_raw: True to leave out points that no tool cut, and that the
+                ideal stock has too.
 
         Raises:
             ValueError: The ideal stock holds no material.
@@ -111,7 +117,7 @@ class SurfaceError(eqx.Module):
 
     @property
     def area_share(self) -> Float[np.ndarray, " n"]:
-        """Return the share of the surface that each point stands for, shape (n,).
+        """Share of the surface that each point stands for [-], shape (n,).
 
         A plane is met by |n_x| + |n_y| + |n_z| rays per square of the spacing.
         """
@@ -120,16 +126,16 @@ class SurfaceError(eqx.Module):
 
     @property
     def is_across(self) -> Bool[np.ndarray, " n"]:
-        """Whether a ray meets the face that it tells of from its front, shape (n,).
+        """True if a ray meets the face at its end from the front, shape (n,).
 
-        Upright rays tell of floors, lying ones of walls. Beside a wall that was left
-        standing a lying ray ends near the floor, but tells nothing of it.
+        Upright rays measure floors, lying ones walls. Beside a wall that stands out a
+        lying ray ends near the floor, but does not measure it.
         """
         return (self.family == 2) == self.is_floor
 
     @property
     def deepest_at(self) -> Float[np.ndarray, " 3"]:
-        """Return where the tool cut deepest into the part [m], shape (3,).
+        """Place of the deepest cut into the part [m], shape (3,).
 
         NaN where it did not cut into it.
         """
@@ -139,7 +145,7 @@ class SurfaceError(eqx.Module):
         return np.asarray(self.points[np.argmin(error)], np.float64)
 
     def measures(self) -> SurfaceMeasures:
-        """Return the figures of the points that a tool cut."""
+        """Figures of the points that a tool cut."""
         error = self.error[self.is_cut]
         wall, floor = (
             self.error[self.is_cut & self.is_across & kind]
@@ -165,7 +171,7 @@ def _p95(values: np.ndarray) -> float:
 
 
 class _IdealSurface:
-    """The surface of a stock that others are held against."""
+    """Surface of the stock that others are compared with."""
 
     def __init__(self, ideal: Stock):
         from scipy.spatial import KDTree
@@ -179,24 +185,24 @@ class _IdealSurface:
         self._distance = ideal.to_mesh().signed_distance()
 
     def error(self, machined: Stock, leaves_out_raw: bool) -> SurfaceError:
-        """Return how far every ray end of a stock is from the surface."""
-        found = [machined.ray_ends(f).points for f in range(3)]
-        points = np.concatenate(found)
-        is_cut = np.concatenate([_end_poses(machined, f) >= 0 for f in range(3)])
-        family = np.repeat(np.arange(3), [len(p) for p in found])
+        """Distance of every ray end of a stock from the surface."""
+        families = [machined.ray_ends(f) for f in range(3)]
+        points = np.concatenate([ends.points for ends in families])
+        is_cut = np.concatenate([ends.is_cut for ends in families])
+        family = np.repeat(np.arange(3), [len(ends.points) for ends in families])
         # A film thinner than the spacing, as a cut along the border leaves it, is lost
         # in the mesh; its ends still say where it is, which bounds the distance.
         bound = np.asarray(self._ends.query(points)[0], np.float64)
         if leaves_out_raw:
-            kept = is_cut | (bound > _SAME * self._spacing)
+            counts = is_cut | (bound > _SAME_SPACINGS * self._spacing)
             points, is_cut, family, bound = (
-                rows[kept] for rows in (points, is_cut, family, bound)
+                rows[counts] for rows in (points, is_cut, family, bound)
             )
         error, normal = self._distance(points)
         error = np.copysign(np.minimum(np.abs(error), bound), error)
-        kept = ~self._runs_along(points, family, error)
+        counts = ~self._runs_along(points, family, error)
         points, error, normal, is_cut, family = (
-            rows[kept] for rows in (points, error, normal, is_cut, family)
+            rows[counts] for rows in (points, error, normal, is_cut, family)
         )
         return SurfaceError(
             points=points,
@@ -213,9 +219,9 @@ class _IdealSurface:
         family: Int[np.ndarray, " end"],
         error: Float[np.ndarray, " end"],
     ) -> Bool[np.ndarray, " end"]:
-        """Return which ends are of rays that lie in a wall, and tell nothing of it.
+        """True for ends of rays that lie in a wall, and do not measure it.
 
-        Whether such a ray is cut is chance, by nanometres, and the mesh has the wall on
+        Such a ray is cut or not by chance, by nanometres, and the mesh has the wall on
         one side of it: its end is near the surface, but far from any end that the ideal
         stock has on that ray.
         """
@@ -227,16 +233,16 @@ class _IdealSurface:
     def _away_on_ray(
         self, points: Float[np.ndarray, "end 3"], family: int
     ) -> Float[np.ndarray, " end"]:
-        """Return how far the ideal's nearest end on the same ray is [m].
+        """Distance of the ideal's nearest end on the same ray [m].
 
-        Zero where it has none, as on another grid: nothing is known then.
+        Zero where it has none, and on another grid: nothing is known then.
         """
         rays = self._rays[family]
         place = ((points - self._origin) / self._spacing)[
             :, [(family + 1) % 3, (family + 2) % 3]
         ]
         line = np.rint(place).astype(np.int64)
-        is_same = np.abs(place - line) < _SAME
+        is_same = np.abs(place - line) < _SAME_SPACINGS
         is_same &= (line >= 0) & (line < rays.shape[:2])
         at = np.flatnonzero(is_same.all(axis=1))
         u, v = line[at].T
@@ -246,11 +252,3 @@ class _IdealSurface:
         away = np.zeros(len(points))
         away[at] = np.where(np.isfinite(off), off, 0)
         return away
-
-
-def _end_poses(stock: Stock, family: int) -> Int[np.ndarray, " end"]:
-    """Return the poses of the ends in the order of `Stock.ray_ends`."""
-    rays = stock.families[family]
-    ends = np.asarray(rays.ends)
-    is_live = np.broadcast_to((ends[:, :, 1] > ends[:, :, 0])[:, :, None], ends.shape)
-    return np.asarray(rays.poses)[is_live]
