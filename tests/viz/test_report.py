@@ -69,16 +69,10 @@ def full_run(tmp_path_factory, correction):
         dexels=cut_dexels(),
         surfaces=maps,
     )
-    path = write_report(
-        folder,
-        correction,
-        figures,
-        surfaces=maps,
-        settings={"angles": "192"},
-        versions={"jax": "0.0"},
-        notes=["the spacing exceeds 0.05 R & more"],
-    )
-    return figures, path
+    notes = "the spacing exceeds 0.05 R & more"
+    versions = f"{correction.attrs['versions']}, jax 0.0"
+    told = correction.assign_attrs(angles="192", versions=versions, notes=notes)
+    return figures, write_report(folder, told, figures, surfaces=maps)
 
 
 def test_headline_numbers_match_numpy(correction):
@@ -163,7 +157,8 @@ def test_text_of_the_job_is_escaped(tmp_path, simulation):
     text = {"title": "<b>bold</b>", "skipped": "<b>why</b>"}
     bad = dataclasses.replace(one, path=None, **text)
     figures = {"bad": bad}
-    path = write_report(tmp_path, hostile, figures, failure="<b>stop</b>")
+    stopped = hostile.assign_attrs(incomplete=1, incomplete_reason="<b>stop</b>")
+    path = write_report(tmp_path, stopped, figures)
     reader = read(path)
     tags = [tag for tag, _ in reader.tags]
     assert tags.count("script") == 2 and "img" not in tags and "u" not in tags

@@ -75,14 +75,14 @@ def values_of(
 
 
 def cutting_of(dataset: "xarray.Dataset", case: str) -> Bool[np.ndarray, " step"]:
-    """Return which steps cut; all of them where the dataset does not say."""
+    """Mask of the steps that cut; all of them where the dataset does not say."""
     if "is_cutting" not in dataset:
         return np.ones(dataset.sizes["step"], dtype=bool)
     return values_of(dataset, "is_cutting", case) > 0.5
 
 
 def place_text(dataset: "xarray.Dataset", case: str, row: int) -> str:
-    """Return when and where on the desired path a step of a case is."""
+    """Time and place of a step of a case on the desired path, as text."""
     time = values_of(dataset, "time", case)[row]
     return f"at {time:.3f} s, {position_text(values_of(dataset, 'desired', case)[row])}"
 
@@ -121,7 +121,7 @@ def shown_cases(dataset: "xarray.Dataset") -> tuple[str, ...]:
 
 
 def is_diverging(dataset: "xarray.Dataset", case: str) -> bool:
-    """Whether a mirror leaves a larger error than the one that it subtracts.
+    """True if a mirror leaves a larger error than the one that it subtracts.
 
     Each further mirror then makes it larger still.
     """

@@ -152,7 +152,7 @@ def _fix_layout(figure: "matplotlib.figure.Figure") -> None:
 
 
 def scale_ratio(axes: "matplotlib.axes.Axes", x_unit: float, y_unit: float) -> str:
-    """Return how much larger y is drawn than x, with two digits.
+    """Ratio of the drawn scales of y and x, with two digits.
 
     Args:
         axes: Finished axes of a finished figure; its layout is then fixed, so that

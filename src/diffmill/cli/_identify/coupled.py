@@ -170,13 +170,12 @@ def _figures(
         figures[name] = functools.partial(
             plot_force_fit,
             study.time + fit.time_shift,
-            measured,
-            measured - fit.residual[name],
+            scale * measured,
+            scale * (measured - fit.residual[name]),
             revolution=turn,
             title=f"{name}: {fit.explained[name]:.1%} of its square explained",
             turns=max(4.0, _ROWS * spacing / turn),
             what=letter,
             unit=unit,
-            scale=scale,
         )
     return figures

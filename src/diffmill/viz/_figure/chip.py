@@ -63,9 +63,10 @@ def plot_chip(chart: ToothChip) -> "matplotlib.figure.Figure":
         y=r"$h$ [$\mathrm{\mu m}$]",
         title="the same, one curve per disc",
     )
-    low, high = _cutting_range(angle_deg[is_cut.any(axis=0)])
+    cut_deg = angle_deg[is_cut.any(axis=0)]
+    low, high = (cut_deg.min(), cut_deg.max()) if cut_deg.size else (0.0, 360.0)
     pad = 0.06 * (high - low) + 1.0
-    bottom.set_xlim(low - pad, high + pad)
+    bottom.set_xlim(float(low - pad), float(high + pad))
     return figure
 
 
@@ -96,10 +97,3 @@ def _draw_discs(
         axes.plot(angle_deg, chip, color=colours.to_rgba(height), linewidth=width)
     axes.set_ylim(bottom=0.0)
     return colours
-
-
-def _cutting_range(cut_deg: Float[np.ndarray, " angle"]) -> tuple[float, float]:
-    """Return the first and the last of the angles at which the tooth cuts [deg]."""
-    return (
-        (float(cut_deg.min()), float(cut_deg.max())) if cut_deg.size else (0.0, 360.0)
-    )

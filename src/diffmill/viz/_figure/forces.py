@@ -1,6 +1,6 @@
 """Cutting forces over time: every sample grey, the low-passed force black."""
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import equinox as eqx
 import numpy as np
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     import matplotlib.axes
     import matplotlib.figure
 
-_BINS = 1500  # more columns than the figure has pixels across one panel
+_MOST_BINS = 1500  # more columns than the figure has pixels across one panel
 
 
 class ForceTrace(eqx.Module):
@@ -122,13 +122,21 @@ def plot_forces(
         grid[0, 1].set_title(title, fontsize=9, loc="left", color=INK)
         label = f"time after {start:.3f} s [ms]"
         grid[2, 1].set_xlabel(label, fontsize=8.5, color=INK)
-    names = _line_names(record)
+    names = {"grey": "instantaneous"}
+    if record.is_tooth_mean:
+        names["grey"] = "mean over each tooth period"
+    elif record.tooth_period > 0:
+        count = record.tooth_period * record.sample_rate
+        names["grey"] += f", {count:.0f} samples per tooth"
     if filtered is not None:
+        # Order and phase of a filter belong to its name.
         names["black"] = (
             f"{cutoff:g} Hz low-pass: Butterworth, order {order}, forward and backward "
             "(zero phase)"
         )
-    _legend(figure, grid[0, 0], names)
+    for artist in (*grid[0, 0].lines, *grid[0, 0].collections):
+        artist.set_label(names.get(str(artist.get_label()), "_hidden"))
+    legend_above(figure, grid[0, 0], columns=2)
     return figure
 
 
@@ -141,28 +149,6 @@ def _zoom_window(record: ForceTrace, periods: int) -> tuple[float, float]:
     return float(start), float(start + span)
 
 
-class Envelope(NamedTuple):
-    """Time [s], lowest and highest value of each bin of samples, shape (bin,) each."""
-
-    time: Float[np.ndarray, " bin"]
-    low: Float[np.ndarray, " bin"]
-    high: Float[np.ndarray, " bin"]
-
-
-def envelope(
-    time: Float[np.ndarray, " sample"],
-    values: Float[np.ndarray, " sample"],
-    size: int,
-) -> Envelope:
-    """Return the envelope in bins of `size` samples."""
-    starts = np.arange(0, time.shape[0], size)
-    return Envelope(
-        time[starts],
-        np.minimum.reduceat(values, starts),
-        np.maximum.reduceat(values, starts),
-    )
-
-
 def _draw_axis(
     axes: "matplotlib.axes.Axes",
     record: ForceTrace,
@@ -170,16 +156,16 @@ def _draw_axis(
     axis: int,
 ) -> None:
     values = record.force[:, axis]
-    if record.time.shape[0] > 2 * _BINS and not record.is_tooth_mean:
+    if record.time.shape[0] > 2 * _MOST_BINS and not record.is_tooth_mean:
         # More samples than pixels: the band between the extremes is what a line
         # would fill; whole teeth, so that no pattern of bins appears.
         per_tooth = round(record.tooth_period * record.sample_rate)
-        size = max(per_tooth, -(-record.time.shape[0] // _BINS))
-        band = envelope(record.time, values, size)
+        size = max(per_tooth, -(-record.time.shape[0] // _MOST_BINS))
+        starts = np.arange(0, record.time.shape[0], size)
         axes.fill_between(
-            band.time,
-            band.low,
-            band.high,
+            record.time[starts],
+            np.minimum.reduceat(values, starts),
+            np.maximum.reduceat(values, starts),
             step="post",
             color="#bdbdbd",
             linewidth=0.3,
@@ -217,24 +203,3 @@ def _draw_zoom(
         axes.plot(time_ms, filtered[inside, axis], color="black", linewidth=1.1)
     axes.set_xlim(0.0, (stop - start) * 1e3)
     quiet_axes(axes)
-
-
-def _line_names(record: ForceTrace) -> dict[str, str]:
-    """Return the name of the line of the forces as they are."""
-    if record.is_tooth_mean:
-        return {"grey": "mean over each tooth period"}
-    if record.tooth_period <= 0:
-        return {"grey": "instantaneous"}
-    count = record.tooth_period * record.sample_rate
-    return {"grey": f"instantaneous, {count:.0f} samples per tooth"}
-
-
-def _legend(
-    figure: "matplotlib.figure.Figure",
-    axes: "matplotlib.axes.Axes",
-    names: dict[str, str],
-) -> None:
-    """Name the lines; order and phase of a filter belong to its name."""
-    for artist in (*axes.lines, *axes.collections):
-        artist.set_label(names.get(str(artist.get_label()), "_hidden"))
-    legend_above(figure, axes, columns=2)

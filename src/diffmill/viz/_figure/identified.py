@@ -1,4 +1,4 @@
-"""Figures of an identification: measured beside fitted, what is left, what is known."""
+"""Figures of an identification: measured beside fitted values, and their difference."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -23,10 +23,8 @@ def plot_force_fit(
     revolution: float,
     title: str = "",
     turns: float = 4.0,
-    label: str = "fitted",
     what: str = "F",
     unit: str = "N",
-    scale: float = 1.0,
 ) -> "matplotlib.figure.Figure":
     """Draw measured and fitted force and their difference over a few revolutions.
 
@@ -34,20 +32,17 @@ def plot_force_fit(
 
     Args:
         time: Instants [s], shape (row,).
-        measured: In `work` [N], shape (row, 3); NaN where not measured.
-        fitted: The same as fitted [N], shape (row, 3).
+        measured: In `work` [unit of the axes], shape (row, 3); NaN where not measured.
+        fitted: Fitted values [unit of the axes], shape (row, 3).
         revolution: Time of a turn of the spindle [s].
         title: Title of the figure.
         turns: Revolutions that are shown, around the largest force.
-        label: What the fitted force is called.
         what: Letter of the vector.
-        unit: Of the axes.
-        scale: From SI to that unit.
+        unit: Unit of the axes.
 
     Returns:
         The figure: to the left the few revolutions, to the right all of it thinned.
     """
-    measured, fitted = scale * measured, scale * fitted
     figure = new_figure(5.4)
     panels = figure.subplots(3, 2, width_ratios=(2.2, 1.0), sharey="row")
     size = np.nansum(np.where(np.isfinite(measured), measured, 0.0) ** 2, axis=1)
@@ -66,7 +61,7 @@ def plot_force_fit(
         for axes, rows, t, step in parts:
             for values, colour, name, thick in (
                 (measured[:, axis], MEASURED, "measured", 1.6),
-                (fitted[:, axis], FITTED, label, 0.8),
+                (fitted[:, axis], FITTED, "fitted", 0.8),
                 (measured[:, axis] - fitted[:, axis], LEFT, "measured minus it", 0.6),
             ):
                 shown = values[rows][::step]
@@ -136,10 +131,10 @@ def plot_residual_spectrum(
 def plot_correlation(
     names: Sequence[str], correlation: Float[np.ndarray, "name name"]
 ) -> "matplotlib.figure.Figure":
-    """Draw the correlation of what was fitted, numbers in the cells.
+    """Draw the correlation of fitted values, numbers in the cells.
 
     Args:
-        names: What was fitted.
+        names: Names of the fitted values.
         correlation: From -1 to 1, NaN where nothing is known, shape (name, name).
 
     Returns:
@@ -173,7 +168,7 @@ def plot_prediction(
     marked: Sequence[int] = (),
     labels: Sequence[str] | None = None,
 ) -> "matplotlib.figure.Figure":
-    """Draw predicted over measured values of what was left out of a fit.
+    """Draw predicted over measured values of rows that a fit leaves out.
 
     Args:
         measured: In SI, shape (row, axis), one to three axes.
@@ -224,7 +219,7 @@ def plot_mean_forces(
     *,
     predicted: Float[np.ndarray, "feed 3"] | None = None,
 ) -> "matplotlib.figure.Figure":
-    """Draw mean forces over the feed with their lines, and what these leave.
+    """Draw mean forces over the feed with their lines, and the residuals.
 
     Args:
         feed_per_tooth: [m], shape (feed,).

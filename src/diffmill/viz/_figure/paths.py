@@ -1,6 +1,6 @@
 """Paths of all cases in plan and side view, the deviation magnified."""
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import equinox as eqx
 import numpy as np
@@ -42,8 +42,8 @@ class Place(eqx.Module):
         name: Letter by which the plan view marks it.
         case: Case that is far off there.
         centre: Point of the desired line from which the case is off, x and y [m].
-        distance: How far the case is from the desired line in plan view [m].
-        is_worst: Whether it is nowhere farther.
+        distance: Distance of the case from the desired line in plan view [m].
+        is_worst: True if the case is nowhere farther off.
     """
 
     name: str = eqx.field(static=True)
@@ -85,7 +85,7 @@ def plot_paths(
 
 
 def _sides(dataset: "xarray.Dataset") -> Float[np.ndarray, " 2"]:
-    """Return how far the desired path reaches in x and y [m]."""
+    """Extent of the desired path in x and y [m]."""
     desired = values_of(dataset, "desired", reference_case(dataset))[:, :2]
     return np.ptp(desired, axis=0)
 
@@ -156,14 +156,14 @@ def _farthest(
     case: str,
     apart: Float[np.ndarray, " 2"] | None,
 ) -> Place:
-    """Return where a case is farthest off in plan view, not near the point `apart`.
+    """Place where a case is farthest off in plan view, not near the point `apart`.
 
     A tool that is late on the line is not off it: the longest deviation would mostly
-    be found where a correction lets the tool lag.
+    be where a correction lets the tool lag.
     """
     desired = values_of(dataset, "desired", case)
-    plan = _in_plan(dataset, case)
-    off = np.linalg.norm(plan.across, axis=1)
+    actual, across = _in_plan(dataset, case)
+    off = np.linalg.norm(across, axis=1)
     is_known = cutting_of(dataset, case) & np.isfinite(off)
     if apart is not None:
         away = np.linalg.norm(desired[:, :2] - apart, axis=1)
@@ -171,38 +171,36 @@ def _farthest(
     if not is_known.any():
         return Place(name, case, desired[0, :2], 0.0, apart is None)
     step = int(np.argmax(np.where(is_known, off, -1.0)))
-    centre = (plan.actual - plan.across)[step, :2]
+    centre = (actual - across)[step, :2]
     return Place(name, case, centre, float(off[step]), apart is None)
 
 
 def _points_mm(
     dataset: "xarray.Dataset", case: str, factor: float
 ) -> Float[np.ndarray, "step 3"]:
-    """Return a path whose distance from the line is `factor` times as large.
+    """Points of a path whose distance from the line is magnified [mm].
 
     A tool that is late on the line stays on it; gaps in the air.
     """
-    plan = _in_plan(dataset, case)
-    points = plan.actual + (factor - 1) * plan.across
+    actual, across = _in_plan(dataset, case)
+    points = actual + (factor - 1) * across
     points[~cutting_of(dataset, case)] = np.nan
     return points * 1e3
 
 
-class _Plan(NamedTuple):
-    """A path seen from above, and its way from the desired line [m], (step, 3) each."""
+def _in_plan(
+    dataset: "xarray.Dataset", case: str
+) -> tuple[Float[np.ndarray, "step 3"], Float[np.ndarray, "step 3"]]:
+    """Path of a case from above, and its way from the desired line [m].
 
-    actual: Float[np.ndarray, "step 3"]
-    across: Float[np.ndarray, "step 3"]
-
-
-def _in_plan(dataset: "xarray.Dataset", case: str) -> _Plan:
-    """Return the path of a case as the walls show it, where that is known."""
+    The path is the one that the walls show, where that is known.
+    """
     plane = np.array([1.0, 1.0, 0.0])
     desired = values_of(dataset, "desired", case) * plane
-    # What the contour error counts.
+    # The deviation that the contour error counts.
     kind = "surface_deviation" if "surface_deviation" in dataset else "deviation"
     actual = desired + values_of(dataset, kind, case) * plane
-    return _Plan(actual, np.asarray(contour_vector(actual, desired), np.float64))
+    return actual, np.asarray(contour_vector(actual, desired), np.float64)
 
 
 def _draw_plan(

@@ -17,12 +17,11 @@ from .._style import (
 
 if TYPE_CHECKING:
     import matplotlib.axes
-    import matplotlib.cm
     import matplotlib.figure
 
 
 # Size of the points of walls, which lie above each other [pt^2].
-_WALL = 12.0
+_WALL_POINT_SIZE = 12.0
 
 
 def plot_surface_error(errors: dict[str, SurfaceError]) -> "matplotlib.figure.Figure":
@@ -38,9 +37,12 @@ def plot_surface_error(errors: dict[str, SurfaceError]) -> "matplotlib.figure.Fi
     Returns:
         The figure.
     """
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+
     if not errors:
         raise ValueError("Argument `errors` must hold at least one case, but is empty.")
-    # What rays along a face end at is a step in it, no error of the face.
+    # The end of a ray along a face is a step in it, no error of the face.
     across = lambda item: jax.tree.map(lambda x: x[item.is_across], item)
     errors = {name: across(item) for name, item in errors.items()}
     points = np.concatenate([item.points for item in errors.values()])
@@ -48,37 +50,21 @@ def plot_surface_error(errors: dict[str, SurfaceError]) -> "matplotlib.figure.Fi
     aspect = float(depth / max(width, 1e-12))
     figure = new_figure(min(9.5, 0.5 + len(errors) * max(1.9, 4.1 * aspect)))
     grid = figure.subplots(len(errors), 2, squeeze=False, width_ratios=[1.9, 1.0])
-    limit = _limit_um(errors)
+    limit = max(spread(item.error * 1e6, 99.0) for item in errors.values()) or 1.0
+    x = [item.points[item.family == 2, 0] for item in errors.values()]
+    steps = np.diff(np.unique(np.round(np.concatenate(x), 9)))
+    spacing = float(steps.min()) if steps.size else 0.0
     # A floor is a plane, not dots: as wide as the rays are apart, on about 3.6 inch.
-    size = max(2.0, 1.1 * (3.6 * 72 / max(width, 1e-12) * _ray_distance(errors)) ** 2)
+    size = max(2.0, 1.1 * (3.6 * 72 / max(width, 1e-12) * spacing) ** 2)
     for row, (name, item) in enumerate(errors.items()):
         _draw_map(grid[row, 0], item, limit, size)
         label = case_style(name).label
         quiet_axes(grid[row, 0], x="x [mm]", y="y [mm]", title=label, has_grid=False)
         _draw_histogram(grid[row, 1], item, case_style(name).colour)
-    image = _colours(limit)
+    image = ScalarMappable(Normalize(-limit, limit), "RdBu_r")
     bar = figure.colorbar(image, ax=grid[:, 0], pad=0.02, aspect=30, extend="both")
     label_colourbar(bar, r"surface error [$\mathrm{\mu m}$]")
     return figure
-
-
-def _ray_distance(errors: dict[str, SurfaceError]) -> float:
-    """Return how far the rays along z are apart [m]; 0 if there are no two."""
-    x = [item.points[item.family == 2, 0] for item in errors.values()]
-    steps = np.diff(np.unique(np.round(np.concatenate(x), 9)))
-    return float(steps.min(initial=np.inf)) if steps.size else 0.0
-
-
-def _limit_um(errors: dict[str, SurfaceError]) -> float:
-    """Return the end of the colour scale of all cases."""
-    return max(spread(item.error * 1e6, 99.0) for item in errors.values()) or 1.0
-
-
-def _colours(limit_um: float) -> "matplotlib.cm.ScalarMappable":
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import Normalize
-
-    return ScalarMappable(Normalize(-limit_um, limit_um), "RdBu_r")
 
 
 def _draw_map(
@@ -92,7 +78,7 @@ def _draw_map(
         x,
         y,
         c=item.error[order] * 1e6,
-        s=np.where(item.is_floor[order], size, np.minimum(size, _WALL)),
+        s=np.where(item.is_floor[order], size, np.minimum(size, _WALL_POINT_SIZE)),
         marker="s",
         linewidths=0,
         cmap="RdBu_r",
@@ -126,11 +112,11 @@ def _draw_histogram(
     )
     axes.axvline(0.0, color=INK, linewidth=0.7)
     axes.legend(fontsize=7, frameon=False)
-    # As the tables have it: of what the tool cut.
-    found = item.measures()
+    # The figures of the tables: of the points that the tool cut.
+    measures = item.measures()
     figures = {
-        "floors": (found.floor_rms, found.floor_mean),
-        "walls": (found.wall_rms, found.wall_mean),
+        "floors": (measures.floor_rms, measures.floor_mean),
+        "walls": (measures.wall_rms, measures.wall_mean),
     }
     axes.set_title(
         "\n".join(

@@ -44,7 +44,7 @@ class CaseParts(eqx.Module):
 
 
 def case_parts(dataset: "xarray.Dataset") -> tuple[CaseParts, ...]:
-    """Return these figures of all cases; none where the dataset lacks them.
+    """Figures by part of the path of all cases; none where the dataset lacks them.
 
     Args:
         dataset: A result of `correct`.
@@ -52,14 +52,14 @@ def case_parts(dataset: "xarray.Dataset") -> tuple[CaseParts, ...]:
     if any(name not in dataset for name in _NEEDED):
         return ()
     parts = [str(name) for name in dataset["part"].values]
-    found = []
+    cases = []
     for name in case_names(dataset):
         case = select_case(dataset, name)
         rms, largest, rows = (
             np.asarray(case[key], np.float64)
             for key in ("part_rms", "part_max", "part_rows")
         )
-        found.append(
+        cases.append(
             CaseParts(
                 name=name,
                 mean=np.asarray(case["contour_mean"], np.float64),
@@ -72,11 +72,11 @@ def case_parts(dataset: "xarray.Dataset") -> tuple[CaseParts, ...]:
                 rows_out_of_cut=int(case.get("rows_out_of_cut", 0)),
             )
         )
-    return tuple(found)
+    return tuple(cases)
 
 
 def out_of_cut_lines(dataset: "xarray.Dataset") -> list[str]:
-    """Return a sentence for each case whose tool leaves the cut: how often and where.
+    """Sentence for each case whose tool leaves the cut, with count and place.
 
     Args:
         dataset: A result of `correct`.
@@ -104,7 +104,7 @@ def out_of_cut_lines(dataset: "xarray.Dataset") -> list[str]:
 
 
 def parts_html(dataset: "xarray.Dataset") -> str:
-    """Return a table of the figures by part and what it means; or nothing."""
+    """Table of the figures by part with its explanation; or nothing."""
     cases = case_parts(dataset)
     if not cases:
         return ""
@@ -146,14 +146,14 @@ def parts_html(dataset: "xarray.Dataset") -> str:
 
 
 def surface_kinds(dataset: "xarray.Dataset") -> list[str]:
-    """Return which of walls and floors a result has the machined error of."""
+    """Kinds of surface whose machined error a result has: "wall", "floor"."""
     if "surface_deepest" not in dataset:
         return []
     return [kind for kind in ("wall", "floor") if f"surface_{kind}_rms" in dataset]
 
 
 def surface_figures_html(dataset: "xarray.Dataset") -> str:
-    """Return a table of the machined surface's error, walls and floors apart."""
+    """Table of the machined surface's error, walls and floors apart."""
     kinds = surface_kinds(dataset)
     if not kinds:
         return ""

@@ -30,7 +30,7 @@ def table_html(
     Args:
         header: Column titles.
         rows: Cells as text, one sequence per row.
-        is_text: Whether the cells are words (left) or numbers (right).
+        is_text: True if the cells are words (left), not numbers (right).
         colours: Colour of the swatch before each row, as hexadecimal RGB.
         best: Index of the row to print in bold.
     """
@@ -56,7 +56,7 @@ def table_html(
 
 
 class LargeNumber(NamedTuple):
-    """A number with its unit, and what it is."""
+    """A number with its unit, and its meaning."""
 
     number: str
     meaning: str

@@ -31,10 +31,10 @@ def figure_inputs(
     *,
     chosen: str = "corrected",
 ) -> FigureInputs:
-    """Return what `write_figures` draws beside the dataset.
+    """Inputs of `write_figures` beside the dataset.
 
     The process runs once more, without the robot, on the actual poses of the first
-    case, to keep the force at every angle and the chip of one revolution.
+    case, for the force at every angle and the chip of one revolution.
 
     Args:
         job: The job.
@@ -56,7 +56,7 @@ def figure_inputs(
         maps = pool.submit(lambda: _surfaces(mapped) if surfaces is None else surfaces)
         again = Replay.of_solution(job, first, chip_row=step or 1)
     samples = again.run.instantaneous_force
-    # What overflowed is not the process of the figure's caption.
+    # A run that overflowed is not the process of the figure's caption.
     if samples is not None and bool(again.run.result == RESULTS.successful):
         forces = ForceTrace.from_periods(np.asarray(first.time), np.asarray(samples))
     return FigureInputs(
@@ -65,15 +65,15 @@ def figure_inputs(
         chip_row=step or 1,
         dexels=CutDexels.from_stocks(first.stock, first.rigid.stock),
         surfaces={
-            key: found
-            for key, found in maps.result().items()
-            if key in mapped and len(found.error)
+            key: error
+            for key, error in maps.result().items()
+            if key in mapped and len(error.error)
         },
     )
 
 
 def _surfaces(cases: Mapping[str, Solution]) -> dict[str, SurfaceError]:
-    """Return the surface errors of cases, none where all was cut away."""
+    """Surface errors of cases, none where all was cut away."""
     ideal = next(iter(cases.values())).rigid.stock
     if not bool(ideal.volume() > 0):
         return {}
@@ -83,7 +83,7 @@ def _surfaces(cases: Mapping[str, Solution]) -> dict[str, SurfaceError]:
 
 
 def _typical_step(solution: Solution) -> int | None:
-    """Return the cutting step whose force is nearest to the median; None if none."""
+    """Cutting step whose force is nearest to the median; None if none cuts."""
     length = np.linalg.norm(np.asarray(solution.force), axis=1)
     cutting = np.asarray(solution.is_cutting) & np.isfinite(length) & (length > 0)
     cutting[0] = False

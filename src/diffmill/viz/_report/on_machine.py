@@ -1,4 +1,4 @@
-"""What to load on the machine, and what has to be set there."""
+"""Files to load on the machine, and settings to make there."""
 
 from collections.abc import Mapping
 
@@ -12,7 +12,7 @@ _ROBOT_FILES = (".src", ".mod")
 
 
 def machine_lines(job: Job, written: Mapping[str, float]) -> list[str]:
-    """Return what to load, and the zero, the tool and the spindle that it holds for.
+    """Lines on the files to load, and on the zero, tool and spindle that they need.
 
     Args:
         job: The job.
@@ -22,7 +22,7 @@ def machine_lines(job: Job, written: Mapping[str, float]) -> list[str]:
     names = [f"corrected{suffix}" for suffix in job.output.formats]
     if not names:
         return []
-    said = [
+    files = [
         f"{name} ({written[name] * 1e6:.3g} {MICROMETRE} rms, read back and run)"
         if name in written
         else name
@@ -35,7 +35,7 @@ def machine_lines(job: Job, written: Mapping[str, float]) -> list[str]:
     )
     cutter, speed = job.cutter, float(job.spindle_speed) * 30 / np.pi
     lines = [
-        f"Load in place of the programmed path: {' or '.join(said)}.",
+        f"Load in place of the programmed path: {' or '.join(files)}.",
         f"Zero: that of the program; from there the stock reaches over {block} mm.",
         f"Tool: {2e3 * cutter.nominal_radius:g} mm, {cutter.flute_count} teeth, at "
         f"{speed:.5g} rpm; the coordinates are those of its tip.",

@@ -1,6 +1,6 @@
 """The report of a run: one HTML file that needs nothing else.
 
-What it reads of a result besides the variables of `simulate` and `correct`:
+It reads of a result, besides the variables of `simulate` and `correct`:
 
 - attributes `job` (name), `source` (text of the job file), `notes` (lines), `versions`
   (programs and versions, separated by commas), and, of a run that broke off,
@@ -90,37 +90,36 @@ def write_report(
     *,
     surfaces: dict[str, SurfaceError] | None = None,
     job: Job | None = None,
-    settings: dict[str, str] | None = None,
-    versions: dict[str, str] | None = None,
-    notes: Sequence[str] = (),
-    job_text: str = "",
-    failure: str = "",
 ) -> Path:
     """Write `report.html` and return its path.
 
     Args:
         out_dir: Existing folder.
         dataset: A result of `simulate` or `correct`.
-        figures: What `write_figures` returned.
+        figures: Figures of `write_figures`.
         surfaces: Surface error by case, for the part that can be turned around.
         job: For the arm and the raw part beside it, and for the bounds that limited
             the correction.
-        settings: Numerical settings to list, beside the dataset's attributes.
-        versions: Versions to list, beside the dataset's attributes.
-        notes: Notes and warnings of the run.
-        job_text: Text of the job file; by default the attribute `source`.
-        failure: What stopped the run; by default what the attributes say. Marks the
-            report as incomplete.
     """
     name = str(dataset.attrs.get("job", "job"))
-    failure = failure or _failure(dataset)
+    failure = _failure(dataset)
     kind = (
         "Prediction" if len(case_names(dataset)) == 1 else "Prediction and correction"
     )
     title = f"{name} (incomplete)" if failure else name
-    remarks = [*str(dataset.attrs.get("notes", "")).splitlines(), *notes]
+    lines = str(dataset.attrs.get("notes", "")).splitlines()
+    notes = [line for line in lines if line.strip()]
+    images = []
+    for file in figures.values():
+        if file.path is None:
+            notes.append(f'No figure "{file.title}": {file.skipped}.')
+        else:
+            images.append(image_html(file.path, file.title, file.caption))
+    source = escape(str(dataset.attrs.get("source", "")).strip())
+    versions = str(dataset.attrs.get("versions", "")).split(",")
+    pairs = [item.strip().partition(" ") for item in versions if item.strip()]
     costs = _case_attributes(dataset)
-    hidden = {*_SPECIAL, *(f"{c}_{key}" for c, found in costs.items() for key in found)}
+    hidden = {*_SPECIAL, *(f"{c}_{key}" for c, cost in costs.items() for key in cost)}
     hidden |= {str(k) for k in dataset.attrs if str(k).startswith(_PREFIXES)}
     listed = {str(k): _cell(v) for k, v in dataset.attrs.items() if k not in hidden}
     bounds = None if job is None else job.correction
@@ -140,15 +139,11 @@ def write_report(
         section_html("By part of the path", parts_html(dataset)),
         section_html("Machined surface", surface_figures_html(dataset)),
         section_html("Cost", _cost_table(costs)),
-        section_html("Figures", *_figure_blocks(figures)),
-        section_html("Notes and warnings", _notes(remarks, figures)),
-        section_html(
-            "What was asked", _text_block(job_text or dataset.attrs.get("source", ""))
-        ),
-        section_html("Settings", _pairs({**listed, **(settings or {})}, "setting")),
-        section_html(
-            "Versions", _pairs({**_versions(dataset), **(versions or {})}, "program")
-        ),
+        section_html("Figures", *images),
+        section_html("Notes and warnings", _items(notes)),
+        section_html("What was asked", f"<pre>{source}</pre>" if source else ""),
+        section_html("Settings", _pairs(listed, "setting")),
+        section_html("Versions", _pairs({n: v for n, _, v in pairs}, "program")),
     ]
     path = Path(out_dir) / "report.html"
     page = page_html(f"{title} - diffmill", "\n".join(block for block in body if block))
@@ -169,11 +164,11 @@ def _head(kind: str, title: str, dataset: "xarray.Dataset", failure: str) -> str
             f"{escape(failure)} What follows ends there; its figures do not describe "
             "the whole job.</p>"
         )
-    found = verdict(dataset, is_complete=not failure)
-    mark = {True: " good", False: " bad", None: ""}[found.is_held]
+    judged = verdict(dataset, is_complete=not failure)
+    mark = {True: " good", False: " bad", None: ""}[judged.is_held]
     text.append(
-        f'<p class="banner{mark}" id="verdict"><b>{escape(found.title)}.</b> '
-        f"{escape(found.text)}</p>"
+        f'<p class="banner{mark}" id="verdict"><b>{escape(judged.title)}.</b> '
+        f"{escape(judged.text)}</p>"
     )
     text.append(numbers_html(_headline(dataset, numbers)))
     return "\n".join([*text, "</header>"])
@@ -213,11 +208,11 @@ def _headline(
             LargeNumber(_length(rms), f"contour error (rms) of {name}, read and run")
             for name, rms in written_errors(dataset, "rms").items()
         ]
-        # What is loaded into the machine counts: programs are written to a tolerance.
-        left = float(np.max([after, *loaded_errors(dataset, "rms").values()]))
-        whose = "" if left <= after else " of what is written"
+        # The files for the machine count: programs are written to a tolerance.
+        largest = float(np.max([after, *loaded_errors(dataset, "rms").values()]))
+        whose = "" if largest <= after else " of what is written"
         text = f"smaller contour error{whose}"
-        items.append(LargeNumber(_times(before.contour.rms, left), text))
+        items.append(LargeNumber(_times(before.contour.rms, largest), text))
     else:
         items.append(LargeNumber(_length(before.contour.max), "largest contour error"))
     force = f"{_number(before.force_mean)} N"
@@ -226,7 +221,7 @@ def _headline(
 
 
 def _result_blocks(dataset: "xarray.Dataset") -> list[str]:
-    """Return the table of all cases and what its columns mean."""
+    """Table of all cases and the meaning of its columns."""
     names = case_names(dataset)
     numbers = [case_numbers(dataset, name) for name in names]
     reference = numbers[names.index(reference_case(dataset))]
@@ -275,7 +270,7 @@ def _result_blocks(dataset: "xarray.Dataset") -> list[str]:
 
 
 def _gain(dataset: "xarray.Dataset", item: CaseNumbers, reference: CaseNumbers) -> str:
-    """Return how many times smaller a case's error is than the reference's."""
+    """Ratio of the reference's error to that of a case, as text."""
     if item is reference:
         return "-"
     if is_diverging(dataset, item.name):
@@ -290,7 +285,7 @@ def _chosen(dataset: "xarray.Dataset") -> str:
 
 
 def _machine(dataset: "xarray.Dataset", job: Job | None) -> list[str]:
-    """Return what to load and to set, if a corrected program was written."""
+    """Files to load and settings to make, if a corrected program was written."""
     if job is None or not _chosen(dataset):
         return []
     chosen, reference = _chosen(dataset), reference_case(dataset)
@@ -301,22 +296,22 @@ def _machine(dataset: "xarray.Dataset", job: Job | None) -> list[str]:
 
 
 def _case_attributes(dataset: "xarray.Dataset") -> dict[str, dict[str, str]]:
-    """Return the attributes that begin with the name of a case, by case."""
+    """Attributes that begin with the name of a case, by case."""
     # "mirror_iterated_forward_runs" belongs to the longest name that fits.
     names = sorted(case_names(dataset), key=len, reverse=True)
-    found: dict[str, dict[str, str]] = {name: {} for name in case_names(dataset)}
+    attributes: dict[str, dict[str, str]] = {name: {} for name in case_names(dataset)}
     for key, value in dataset.attrs.items():
         if key in _SPECIAL:
             continue
         owner = next((n for n in names if str(key).startswith(f"{n}_")), None)
         if owner is not None:
-            found[owner][str(key)[len(owner) + 1 :]] = _cell(value)
-    return found
+            attributes[owner][str(key)[len(owner) + 1 :]] = _cell(value)
+    return attributes
 
 
 def _cost_table(costs: dict[str, dict[str, str]]) -> str:
-    """Return what each case cost and the settings that it chose."""
-    keys = list(dict.fromkeys(key for found in costs.values() for key in found))
+    """Table of the cost of each case and of the settings that it chose."""
+    keys = list(dict.fromkeys(key for cost in costs.values() for key in cost))
     if not keys:
         return ""
     rows = []
@@ -324,27 +319,9 @@ def _cost_table(costs: dict[str, dict[str, str]]) -> str:
         name = key.removesuffix("_s").replace("_", " ")
         is_time = key.endswith("_s") or key == "knot_spacing"
         title = f"{name} [s]" if is_time else name
-        rows.append([title, *(found.get(key, "-") for found in costs.values())])
-    # One column for each case: they are fewer than what is said of them.
+        rows.append([title, *(cost.get(key, "-") for cost in costs.values())])
+    # One column for each case: they are fewer than the rows.
     return table_html(["", *(case_style(case).label for case in costs)], rows)
-
-
-def _figure_blocks(figures: dict[str, FigureFile]) -> list[str]:
-    return [
-        image_html(file.path, file.title, file.caption)
-        for file in figures.values()
-        if file.path is not None
-    ]
-
-
-def _notes(remarks: Sequence[str], figures: dict[str, FigureFile]) -> str:
-    lines = [line for line in remarks if line.strip()]
-    lines += [
-        f'No figure "{file.title}": {file.skipped}.'
-        for file in figures.values()
-        if file.path is None
-    ]
-    return _items(lines)
 
 
 def _items(lines: Sequence[str]) -> str:
@@ -355,19 +332,8 @@ def _items(lines: Sequence[str]) -> str:
     return f'<ul class="notes">{items}</ul>'
 
 
-def _text_block(text: object) -> str:
-    return f"<pre>{escape(str(text).strip())}</pre>" if str(text).strip() else ""
-
-
-def _versions(dataset: "xarray.Dataset") -> dict[str, str]:
-    """Return the attribute `versions`, "name 1.2, other 3.4", as pairs."""
-    items = str(dataset.attrs.get("versions", "")).split(",")
-    pairs = [item.strip().partition(" ") for item in items if item.strip()]
-    return {name: version for name, _, version in pairs}
-
-
 def _failure(dataset: "xarray.Dataset") -> str:
-    """Return why, when and where the run broke off; nothing if it did not."""
+    """Reason, time and place at which the run broke off; nothing if it did not."""
     attributes = dataset.attrs
     if not int(attributes.get("incomplete", 0)):
         is_good = int(attributes.get("is_successful", 1))
@@ -417,7 +383,7 @@ def _length(value: float) -> str:
 
 
 def _times(before: float, after: float) -> str:
-    """Return how many times smaller `after` is, for a table."""
+    """Ratio of `before` to `after`, for a table."""
     if not (np.isfinite(before) and np.isfinite(after)) or after <= 0 or before <= 0:
         return "-"
     return f"{_number(before / after)} x"

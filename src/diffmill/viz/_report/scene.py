@@ -1,4 +1,4 @@
-"""The turning view of arm, part and path, and what its script needs of a result."""
+"""The turning view of arm, part and path, and the data of its script."""
 
 import base64
 import itertools
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     import xarray
 
 _SCRIPT = Path(__file__).with_name("page.js")
-# What a screen can show, and a file of a few megabytes can hold.
+# Limits of a screen, and of a file of a few megabytes.
 _MOST_ROWS, _MOST_POINTS, _MOST_FRAMES = 2000, 16_000, 120
 
 
@@ -98,11 +98,15 @@ def _scene_data(
     surfaces: dict[str, SurfaceError],
     job: Job | None,
 ) -> dict[str, Any]:
-    """Return what the script draws, in mm, um and N, about the middle of the part."""
+    """Data that the script draws, in mm, um and N, about the middle of the part."""
     names, reference = case_names(dataset), reference_case(dataset)
     rows = _shown_rows(dataset, {reference, chosen})
     desired = values_of(dataset, "desired", reference)[rows]
-    low, high = _bounds(desired, surfaces, job)
+    known = [item.points for item in surfaces.values()] or [desired]
+    if job is not None:
+        known = [job.stock.ray_ends(family).points for family in range(3)]
+    corners = np.concatenate(known)
+    low, high = corners.min(axis=0), corners.max(axis=0)
     middle = 0.5 * (low + high)
     square = _square(next(iter(surfaces.values()))) if surfaces else 0.0
     grain = float(np.ptp([low, high], axis=0).max()) / 2**16 * 1.2
@@ -174,20 +178,6 @@ def _sizes(dataset: "xarray.Dataset", case: str) -> Float[np.ndarray, " step"]:
     return np.where(cutting_of(dataset, case), error, -1.0)
 
 
-def _bounds(
-    desired: Float[np.ndarray, "step 3"],
-    surfaces: dict[str, SurfaceError],
-    job: Job | None,
-) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]:
-    """Return the corners of the raw part, or of what is known of it [m]."""
-    if job is not None:
-        found = [job.stock.ray_ends(family).points for family in range(3)]
-    else:
-        found = [item.points for item in surfaces.values()] or [desired]
-    points = np.concatenate(found)
-    return points.min(axis=0), points.max(axis=0)
-
-
 def _square(item: SurfaceError) -> float:
     """Return the side of the squares that show a surface [m]."""
     pitches = [1e-4]
@@ -205,7 +195,7 @@ def _square(item: SurfaceError) -> float:
 
 def _one_each(
     points: Float[np.ndarray, "n 3"], side: float
-) -> Int[np.ndarray, " kept"]:
+) -> Int[np.ndarray, " shown"]:
     """Return the index of one point for each cube with this side that holds any.
 
     All of them if they are few enough as they are.
@@ -224,14 +214,14 @@ def _cloud(
     limit: float,
 ) -> dict[str, str]:
     """Return a surface for the screen: places, share of the colour scale, normals."""
-    kept = _one_each(item.points, square)
-    level = np.clip(item.error[kept] / max(limit, 1e-12), -1, 1)
+    shown = _one_each(item.points, square)
+    share = np.clip(item.error[shown] / max(limit, 1e-12), -1, 1)
     return {
         "points": _encoded(
-            np.round((item.points[kept] - middle) / grain).astype(np.int16)
+            np.round((item.points[shown] - middle) / grain).astype(np.int16)
         ),
-        "error": _encoded(np.round(127 * level).astype(np.int8)),
-        "normal": _encoded(np.round(127 * item.normal[kept]).astype(np.int8)),
+        "error": _encoded(np.round(127 * share).astype(np.int8)),
+        "normal": _encoded(np.round(127 * item.normal[shown]).astype(np.int8)),
     }
 
 

@@ -37,30 +37,26 @@ def summary(
         mark = "  diverges" if is_diverging(dataset, case) else ""
         rows.append(f"{case:16}{errors}{_cell(numbers.force_mean, 12)}{mark}")
     unsettled = unsettled_text(dataset)
-    rows += [*_surface(dataset), *_parts(dataset), *_mirror(dataset)]
+    rows += [*_surface(dataset), *_parts(dataset)]
+    if any(is_diverging(dataset, case) for case in case_names(dataset)):
+        rows.append(
+            "note: the mirror is worse than no correction: it commands the opposite of "
+            "the error as if the machine followed at once; one that swings or lags "
+            "answers late"
+        )
     rows += [f"note: {unsettled}"] if unsettled else []
     return "\n".join(rows if only else [*rows, *_verdict(dataset)])
 
 
 def _cell(value: float, width: int) -> str:
-    """Return a number, or a dash where there is none, as of a path in the air."""
+    """Number as text, or a dash where there is none, as of a path in the air."""
     return f"{value:{width}.2f}" if np.isfinite(value) else f"{'-':>{width}}"
-
-
-def _mirror(dataset: "xarray.Dataset") -> list[str]:
-    """Return why a mirror diverges, if one does."""
-    if not any(is_diverging(dataset, case) for case in case_names(dataset)):
-        return []
-    return [
-        "note: the mirror is worse than no correction: it commands the opposite of the "
-        "error as if the machine followed at once; one that swings or lags answers late"
-    ]
 
 
 def _verdict(dataset: "xarray.Dataset") -> list[str]:
     """Return the verdict if a tolerance was stated, or the part was cut into."""
-    found, departure = verdict(dataset), departure_text(dataset)
-    lines = [] if found.is_held is None else [f"{found.title}. {found.text}"]
+    judged, departure = verdict(dataset), departure_text(dataset)
+    lines = [] if judged.is_held is None else [f"{judged.title}. {judged.text}"]
     lines += [f"note: {departure}"] if departure else []
     # Not every terminal prints a micro sign.
     return [line.replace(MICROMETRE, "um") for line in lines]
@@ -81,14 +77,14 @@ def _surface(dataset: "xarray.Dataset") -> list[str]:
         f"{'case':16}{''.join(f'{name:>12}' for name in names)}",
     ]
     for case in case_names(dataset):
-        found = select_case(dataset, case)
-        values = (float(found[f"surface_{key}"]) * 1e6 for key in keys)
+        selected = select_case(dataset, case)
+        values = (float(selected[f"surface_{key}"]) * 1e6 for key in keys)
         rows.append(f"{case:16}{''.join(_cell(value, 12) for value in values)}")
     return rows
 
 
 def _parts(dataset: "xarray.Dataset") -> list[str]:
-    """Return lines of the mean, the parts of the path and the price of each case."""
+    """Lines on the mean, the parts of the path and the cost of each case."""
     cases = case_parts(dataset)
     if not cases:
         return []

@@ -1,4 +1,4 @@
-"""Whether a result stays within a tolerance, and what limited it."""
+"""Verdict on the tolerance of a result, and on the causes of its error."""
 
 from typing import TYPE_CHECKING, Literal
 
@@ -7,6 +7,7 @@ import numpy as np
 
 from ..._job import CorrectionSettings
 from .._cases import (
+    case_numbers,
     chosen_case,
     cutting_of,
     place_text,
@@ -21,33 +22,32 @@ from .case_parts import case_parts
 if TYPE_CHECKING:
     import xarray
 
-# A bound counts as reached so near to it: the optimiser keeps a reserve.
-_NEAR = 0.98
-# Attributes of what a written file leaves begin with a word for its name.
+# A bound counts as reached from this share of it: the optimiser keeps a reserve.
+_REACHED_SHARE = 0.98
+# Attributes of the error of a written file begin with a word for its name.
 _WRITTEN = {"corrected": "written", "moved": "moved", "stream": "stream"}
 # The surface breaks a tolerance where it lies so many times as deep in the part: the
 # meshes that are compared are off by some micrometres at edges.
-_DEEP = 1.5
-# Without a tolerance it is told where it lies so many times as deep as the largest
-# contour error.
-_STRIKING = 3.0
+_DEPTH_PER_TOLERANCE = 1.5
+# Without a tolerance its depth is named from so many times the largest contour error.
+_DEPTH_PER_ERROR = 3.0
 # Volumes that are rounding [m^3].
 _NO_VOLUME = 1e-15
 # Title of the verdict on a cut in which vibrations grow, whatever its errors are.
 _UNSTABLE = "The cut is unstable (chatter)"
 # A part of the path is named if its share of the error is so much above its length.
-_TELLING = 0.1
+_NAMED_EXCESS = 0.1
 
 
 class Verdict(eqx.Module):
     """The contour error of one case against a tolerance.
 
     Attributes:
-        is_held: Whether it stays within at every step that cuts, and the surface
-            does not lie much deeper in the part; None if there is nothing to judge, or
-            no tolerance was stated and nothing is striking.
-        title: In a few words.
-        text: What was found, where it is worst.
+        is_held: True if the error stays within it at every step that cuts, and the
+            surface does not lie much deeper in the part; None if there is nothing to
+            judge, or no tolerance was stated and there is no fault.
+        title: Verdict in a few words.
+        text: Largest error, its place and its causes.
     """
 
     is_held: bool | None = eqx.field(static=True)
@@ -63,7 +63,7 @@ def tolerance_band(dataset: "xarray.Dataset") -> float:
 def written_errors(
     dataset: "xarray.Dataset", measure: Literal["rms", "max"]
 ) -> dict[str, float]:
-    """Return what the written files leave that were read back and run, by name [m].
+    """Errors of the written files that were read back and run, by name [m].
 
     Args:
         dataset: A result of `correct`.
@@ -80,7 +80,7 @@ def written_errors(
 def loaded_errors(
     dataset: "xarray.Dataset", measure: Literal["rms", "max"]
 ) -> dict[str, float]:
-    """Return what those written files leave that are loaded into the machine [m].
+    """Errors of those written files that are loaded into the machine, by name [m].
 
     A moved program and a stream serve controllers that cannot take these.
 
@@ -89,17 +89,17 @@ def loaded_errors(
         measure: The root mean square contour error, or the largest.
     """
     written = written_errors(dataset, measure)
-    return {n: left for n, left in written.items() if n.startswith("corrected.")}
+    return {n: size for n, size in written.items() if n.startswith("corrected.")}
 
 
 def verdict(dataset: "xarray.Dataset", *, is_complete: bool = True) -> Verdict:
-    """Return whether the result keeps its tolerance.
+    """Verdict on the tolerance of a result.
 
     Args:
         dataset: A result of `simulate` or `correct`; its attribute `tolerance_band`
-            is the largest contour error that is allowed [m]. It is asked of the
-            corrected programs, too, where they have been run.
-        is_complete: Whether the run reached its end.
+            is the largest contour error that is allowed [m]. It holds for the corrected
+            programs, too, where they have been run.
+        is_complete: True if the run reached its end.
     """
     case, band = chosen_case(dataset), tolerance_band(dataset)
     if not is_complete:
@@ -117,17 +117,24 @@ def verdict(dataset: "xarray.Dataset", *, is_complete: bool = True) -> Verdict:
         f"{_mismatch_text(dataset)}; [simulation] scatter or [correction.uncertainty] "
         "tell of one that is not."
     )
-    deepest = _deepest(dataset, case)
+    deepest, deepest_place = 0.0, ""
+    if "surface_deepest" in dataset:
+        deepest = float(select_case(dataset, case)["surface_deepest"])
+    if "surface_deepest_at" in dataset:
+        at = values_of(dataset, "surface_deepest_at", case)
+        deepest_place = f" ({position_text(at)})"
     deep = (
         f" But the machined surface lies up to {deepest * 1e6:.3g} {MICROMETRE} inside "
-        f"the part{_deepest_place(dataset, case)}, cut at steps that the contour error "
-        "does not count: [correction] gouge bounds it."
+        f"the part{deepest_place}, cut at steps that the contour error does not count: "
+        "[correction] gouge bounds it."
     )
     shank = (
         " But the shank above the flutes is in the stock, and no force counts it: "
         "errors come out too small. Longer flutes or less depth are the cure."
     )
-    has_shank = _has_shank(dataset, case)
+    has_shank = "shank_volume" in dataset and bool(
+        (values_of(dataset, "shank_volume", case) > _NO_VOLUME).any()
+    )
     if not band:
         text += (
             " No tolerance was stated: [correction] tolerance_band or --tolerance-band "
@@ -137,11 +144,12 @@ def verdict(dataset: "xarray.Dataset", *, is_complete: bool = True) -> Verdict:
         faults = {
             _UNSTABLE: ("", bool(chatter)),
             "The shank is in the stock": (shank, has_shank),
-            "The tool cuts into the part": (deep, deepest > _STRIKING * largest),
+            "The tool cuts into the part": (deep, deepest > _DEPTH_PER_ERROR * largest),
         }
-        found = {title: more for title, (more, is_found) in faults.items() if is_found}
-        title = next(iter(found), "No tolerance stated")
-        return Verdict(False if found else None, title, text + "".join(found.values()))
+        present = {name: more for name, (more, is_there) in faults.items() if is_there}
+        title = next(iter(present), "No tolerance stated")
+        is_held = False if present else None
+        return Verdict(is_held, title, text + "".join(present.values()))
     files = loaded_errors(dataset, "max")
     text += _written_text(dataset, band)
     if dataset.attrs.get("written_not_run"):
@@ -156,8 +164,8 @@ def verdict(dataset: "xarray.Dataset", *, is_complete: bool = True) -> Verdict:
     text += deep if deepest > band else ""
     text += shank if has_shank else ""
     # Written so that a number that is not finite does not count as held.
-    left = (largest, *files.values(), deepest / _DEEP)
-    is_held = all(value <= band for value in left) and not (has_shank or chatter)
+    errors = (largest, *files.values(), deepest / _DEPTH_PER_TOLERANCE)
+    is_held = all(value <= band for value in errors) and not (has_shank or chatter)
     share = 100 * float(np.mean(error <= band))
     # 99.97 % is not "100 %" of a path that leaves the band.
     shown = "all" if largest <= band else f"{min(share, 99.9):.1f} %"
@@ -168,7 +176,7 @@ def verdict(dataset: "xarray.Dataset", *, is_complete: bool = True) -> Verdict:
 
 
 def _chatter(dataset: "xarray.Dataset") -> str:
-    """Return that vibrations grow and what it means for the figures, if they do."""
+    """Sentence on growing vibrations and their effect on the figures, if there are."""
     if not dataset.attrs.get("stability_has_chatter"):
         return ""
     text = "A vibration"
@@ -185,15 +193,15 @@ def _chatter(dataset: "xarray.Dataset") -> str:
 
 
 def _written_text(dataset: "xarray.Dataset", band: float) -> str:
-    """Return what each written file leaves, and which are outside but not judged."""
+    """Sentences on the error of each written file, and on files that are not judged."""
     written, loaded = (
         found(dataset, "max") for found in (written_errors, loaded_errors)
     )
     text, outside = "", []
-    for name, left in written.items():
-        size = f"{left * 1e6:.3g} {MICROMETRE}" if np.isfinite(left) else "not finite"
+    for name, error in written.items():
+        size = f"{error * 1e6:.3g} {MICROMETRE}" if np.isfinite(error) else "not finite"
         text += f" Of {name}, read back and run: {size}."
-        outside += [name] if name not in loaded and not left <= band else []
+        outside += [name] if name not in loaded and not error <= band else []
     if outside:
         text += (
             f" Outside the tolerance, but not judged, is {' and '.join(outside)}: the "
@@ -210,22 +218,8 @@ def _cutting_error(dataset: "xarray.Dataset", case: str) -> np.ndarray:
     return error[cutting_of(dataset, case) & np.isfinite(error)]
 
 
-def _has_shank(dataset: "xarray.Dataset", case: str) -> bool:
-    """Return whether the shank takes stock in any step."""
-    if "shank_volume" not in dataset:
-        return False
-    return bool((values_of(dataset, "shank_volume", case) > _NO_VOLUME).any())
-
-
-def _deepest(dataset: "xarray.Dataset", case: str) -> float:
-    """Return how deep the machined surface lies in the part [m]; 0 if not known."""
-    if "surface_deepest" not in dataset:
-        return 0.0
-    return float(select_case(dataset, case)["surface_deepest"])
-
-
 def _over_draws(dataset: "xarray.Dataset", case: str) -> str:
-    """Return what the command leaves over the draws that it was made for."""
+    """Sentence on the error over the draws that the command was made for."""
     count = dataset.attrs.get(f"{case}_draws")
     if count is None:
         return ""
@@ -240,7 +234,7 @@ def _over_draws(dataset: "xarray.Dataset", case: str) -> str:
 
 
 def _mismatch_text(dataset: "xarray.Dataset") -> str:
-    """Return what the command leaves where stiffness or forces are off."""
+    """Clause on the error of the command where stiffness or forces are off."""
     names = ("mismatch_share", "mismatch_rms_stiffness", "mismatch_rms_force")
     if any(name not in dataset.attrs for name in names):
         return ""
@@ -255,15 +249,8 @@ def _mismatch_text(dataset: "xarray.Dataset") -> str:
     )
 
 
-def _deepest_place(dataset: "xarray.Dataset", case: str) -> str:
-    """Return where the machined surface lies deepest in the part."""
-    if "surface_deepest_at" not in dataset:
-        return ""
-    return f" ({position_text(values_of(dataset, 'surface_deepest_at', case))})"
-
-
 def _place(dataset: "xarray.Dataset", case: str) -> str:
-    """Return when and where the contour error is largest."""
+    """Time and place of the largest contour error, as text."""
     if "desired" not in dataset:
         return ""
     error = np.abs(values_of(dataset, "contour_error", case))
@@ -272,7 +259,7 @@ def _place(dataset: "xarray.Dataset", case: str) -> str:
 
 
 def unsettled_text(dataset: "xarray.Dataset") -> str:
-    """Return that the optimiser had not settled, where more steps may help."""
+    """Sentence on an optimiser that had not settled, where more steps may help."""
     is_short = dataset.attrs.get("corrected_outcome") == "steps ran out"
     # Steps do not calm a cut that is unstable.
     has_chatter = bool(dataset.attrs.get("stability_has_chatter"))
@@ -316,38 +303,38 @@ def departure_text(dataset: "xarray.Dataset") -> str:
 def limits(
     dataset: "xarray.Dataset", settings: CorrectionSettings | None
 ) -> tuple[str, ...]:
-    """Return what kept the error from being smaller, in sentences.
+    """Sentences on the limits of the error.
 
     Args:
         dataset: A result of `simulate` or `correct`.
-        settings: Those of the correction, for its bounds.
+        settings: Settings of the correction, for its bounds.
     """
     case = chosen_case(dataset)
-    found = []
+    causes = []
     if dataset.attrs.get("stability_has_chatter", 0):
-        found.append(
+        causes.append(
             "The cut is unstable (chatter): vibrations grow until the tool leaves the "
             "material, which depth of cut, spindle speed or damping change and a "
             "corrected path does not. See the warnings."
         )
     if case != reference_case(dataset) and settings is not None:
-        found += _bounds_reached(dataset, case, settings)
+        causes += _bounds_reached(dataset, case, settings)
     unsettled = unsettled_text(dataset)
-    found += [unsettled] if unsettled else []
+    causes += [unsettled] if unsettled else []
     if case != reference_case(dataset) and settings is not None:
         if settings.tolerance and verdict(dataset).is_held is False:
-            found.append(
+            causes.append(
                 "Errors below half of [correction] tolerance did not count: without "
                 "it all of them become as small as they can."
             )
-        found += _above_knots(dataset, case, settings.knot_spacing)
-    return (*found, *_constant_share(dataset, case), *_part_share(dataset, case))
+        causes += _above_knots(dataset, case, settings.knot_spacing)
+    return (*causes, *_constant_share(dataset, case), *_part_share(dataset, case))
 
 
 def _bounds_reached(
     dataset: "xarray.Dataset", case: str, settings: CorrectionSettings
 ) -> list[str]:
-    """Return the bounds of the command that it reached."""
+    """Sentence on each bound that the command reaches."""
     if "commanded" not in dataset or settings.command != "tip":
         return []
     time = values_of(dataset, "time", case)
@@ -368,7 +355,9 @@ def _bounds_reached(
         (speed, settings.max_velocity, "max_velocity", "m/s"),
         (rate(commanded), most, "max_acceleration, or its factor,", "m/s\u00b2"),
     ):
-        share = float(np.mean(values >= _NEAR * bound)) if np.isfinite(bound) else 0.0
+        if not np.isfinite(bound):
+            continue
+        share = float(np.mean(values >= _REACHED_SHARE * bound))
         if share > 0:
             found.append(
                 f"The command stands at its bound [correction] {name} of {bound:.3g} "
@@ -381,13 +370,13 @@ def _bounds_reached(
 def _above_knots(
     dataset: "xarray.Dataset", case: str, knot_spacing: float
 ) -> list[str]:
-    """Return whether most of what is left is faster than the knots can follow."""
+    """Sentence on a remaining error that is mostly faster than the knots can follow."""
     if "deviation" not in dataset:
         return []
     time = values_of(dataset, "time", case)
     cutting = cutting_of(dataset, case)
-    left = np.nan_to_num(values_of(dataset, "deviation", case)) * cutting[:, None]
-    power = np.sum(np.abs(np.fft.rfft(left, axis=0)) ** 2, axis=1)
+    remaining = np.nan_to_num(values_of(dataset, "deviation", case)) * cutting[:, None]
+    power = np.sum(np.abs(np.fft.rfft(remaining, axis=0)) ** 2, axis=1)
     step = (time[-1] - time[0]) / (len(time) - 1)
     fastest = 0.5 / knot_spacing
     above = np.fft.rfftfreq(len(time), step) > fastest
@@ -402,13 +391,13 @@ def _above_knots(
 
 
 def _constant_share(dataset: "xarray.Dataset", case: str) -> list[str]:
-    """Return whether most of the error is a constant vector, such as a sag."""
+    """Sentence on an error that is mostly a constant vector, such as a sag."""
     if "contour_mean" not in dataset:
         return []
     mean = np.asarray(select_case(dataset, case)["contour_mean"], np.float64)
-    square = float(np.mean(_cutting_error(dataset, case) ** 2))
+    square = case_numbers(dataset, case).contour.rms ** 2
     share = float(mean @ mean) / square if square else 0.0
-    if share < 0.5:
+    if not share >= 0.5:
         return []
     x, y, z = 1e6 * mean
     return [
@@ -419,8 +408,8 @@ def _constant_share(dataset: "xarray.Dataset", case: str) -> list[str]:
 
 
 def _part_share(dataset: "xarray.Dataset", case: str) -> list[str]:
-    """Return which part of the path holds more of the error than its length says."""
-    item = next((found for found in case_parts(dataset) if found.name == case), None)
+    """Sentence on a part of the path with more of the error than of the length."""
+    item = next((one for one in case_parts(dataset) if one.name == case), None)
     if item is None:
         return []
     rows = {part: count for part, count in item.rows.items() if count}
@@ -430,7 +419,7 @@ def _part_share(dataset: "xarray.Dataset", case: str) -> list[str]:
         return []
     excess = {part: squares[part] / total - rows[part] / count for part in rows}
     part = max(excess, key=lambda name: excess[name])
-    if excess[part] < _TELLING:
+    if excess[part] < _NAMED_EXCESS:
         return []
     return [
         f"The {part} holds {100 * squares[part] / total:.0f} % of the square of the "

@@ -31,13 +31,13 @@ if TYPE_CHECKING:
 
 
 class FigureFile(eqx.Module):
-    """One figure of a run: the file, or why there is none.
+    """One figure of a run: the file, or the reason why there is none.
 
     Attributes:
-        title: What it shows, in a few words.
-        caption: What to look at, for the report.
+        title: Title in a few words.
+        caption: Caption for the report.
         path: The PNG, or None when the figure was skipped.
-        skipped: Why it was skipped; empty when it was written.
+        skipped: Reason why it was skipped; empty when it was written.
     """
 
     title: str = eqx.field(static=True)
@@ -47,7 +47,7 @@ class FigureFile(eqx.Module):
 
 
 class _Drawing(eqx.Module):
-    """A figure before it is written; `figure` is None when `text` says why not."""
+    """A figure before it is written; None with the reason in `text`."""
 
     title: str = eqx.field(static=True)
     text: str = eqx.field(static=True)
@@ -79,7 +79,7 @@ def write_figures(
     Returns:
         By name, in the report's order: paths, deviation, forces, chip, surface,
         dexels, and sensitivity where the result has it. A skipped figure has `path`
-        None and says why in `skipped`.
+        None and the reason in `skipped`.
     """
     folder = Path(out_dir)
     drawings = {
@@ -103,7 +103,7 @@ def write_figures(
 
 
 def _of_reference(drawing: _Drawing, dataset: "xarray.Dataset") -> _Drawing:
-    """Return a drawing that says of which of several cases it is."""
+    """Drawing with the name of its case, if there are several."""
     if drawing.figure is None or len(case_names(dataset)) < 2:
         return drawing
     label = case_style(reference_case(dataset)).label
@@ -114,7 +114,7 @@ def _of_reference(drawing: _Drawing, dataset: "xarray.Dataset") -> _Drawing:
 
 
 def _missing(dataset: "xarray.Dataset", *names: str) -> str:
-    """Return which of `names` the dataset lacks, as a sentence; or nothing."""
+    """Sentence on the variables that the dataset lacks; or nothing."""
     absent = [name for name in names if name not in dataset]
     if absent:
         return f"the result has no {', '.join(absent)}"
@@ -186,7 +186,12 @@ def _draw_forces(dataset: "xarray.Dataset", forces: ForceTrace | None) -> _Drawi
     reason = "" if forces is not None else _missing(dataset, "time", "force")
     if reason:
         return _Drawing(title, reason)
-    record = _tooth_means(dataset) if forces is None else forces
+    record = forces
+    if record is None:
+        case = reference_case(dataset)
+        time = values_of(dataset, "time", case)
+        means = np.nan_to_num(values_of(dataset, "force", case))
+        record = ForceTrace(time, means, float(time[1] - time[0]), True)
     caption = "Force of the workpiece on the tool in workpiece axes"
     if record.is_tooth_mean:
         caption += ", as its mean over each tooth period."
@@ -263,11 +268,3 @@ def _draw_sensitivity(dataset: "xarray.Dataset") -> _Drawing:
         "its own sag lifted, as touching off does. Grey: no cut."
     )
     return _Drawing("Sensitivity to the model", caption, plot_sensitivity(dataset))
-
-
-def _tooth_means(dataset: "xarray.Dataset") -> ForceTrace:
-    """Return the force of the reference case, one sample per tooth period."""
-    case = reference_case(dataset)
-    time = values_of(dataset, "time", case)
-    force = np.nan_to_num(values_of(dataset, "force", case))
-    return ForceTrace(time, force, float(time[1] - time[0]), True)
