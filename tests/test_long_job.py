@@ -94,7 +94,7 @@ def test_a_killed_run_resumes_to_the_same_result(folder):
     assert not (folder / "all.checkpoint").exists()
     # Among the baselines, after a segment, and in the next one.
     file = kill_when(folder, "killed", lambda kept: b"method/mirror/" in kept)
-    first = lambda kept: b"horizon/row" in kept
+    first = lambda kept: b"search/corrected/row" in kept
     kill_when(folder, "killed", first, "--resume")
     before = file.read_bytes()
     kill_when(folder, "killed", lambda kept: kept != before, "--resume")

@@ -212,7 +212,7 @@ def test_segments_of_a_job_find_what_its_whole_path_finds(tmp_path):
     assert rms[1] < 1.05 * rms[0]
     assert found.methods["corrected"].detail["segment_count"] == 3
     # In the middle of a sweep: the controller's state is kept with the plant's.
-    at = [k for k, arrays in enumerate(kept) if "horizon/row" in arrays]
+    at = [k for k, arrays in enumerate(kept) if "search/corrected/row" in arrays]
     again = correct(job, resume=kept[at[2]])
     assert np.array_equal(again.commanded, found.commanded)
 

@@ -90,7 +90,7 @@ def test_adam_goes_on_as_if_it_had_not_been_interrupted():
 
     problem = Problem(plant, path, path, np.ones(60), TIME_STEP)
     method, kept = Adam(steps=8), []
-    found = method(problem, on_memory=kept.append)
+    found = method(problem, on_checkpoint=kept.append)
     assert len(kept) == 8
     assert found.measures.rms < 0.9 * GivenCommand()(problem).measures.rms
     for arrays in (kept[0], kept[4], kept[-1]):

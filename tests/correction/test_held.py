@@ -146,7 +146,7 @@ def test_the_worst_member_gets_the_middle_of_all(amounts):
 
     mean, once = middle()
     kept = []
-    worst, rounds = middle({"on_state": kept.append}, is_worst_case=True)
+    worst, rounds = middle({"on_checkpoint": kept.append}, is_worst_case=True)
     assert mean == pytest.approx(np.mean(amounts), rel=0.02)
     assert worst == pytest.approx(0.5, rel=0.01)
     # The rounds of its weights are those of a quadratic program, not of linear systems.

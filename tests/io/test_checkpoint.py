@@ -75,7 +75,7 @@ def test_a_cut_off_one_is_refused(file, length):
 
 def test_a_digit_of_the_format_that_has_changed_is_damage(file):
     data = file.read_bytes()
-    file.write_bytes(data.replace(b"checkpoint 3 ", b"checkpoint 4 ", 1))
+    file.write_bytes(data.replace(b"checkpoint 4 ", b"checkpoint 5 ", 1))
     assert latest(file)[0]["count"] == 1
 
 
@@ -88,8 +88,8 @@ def test_another_job_or_format_is_refused(file, monkeypatch):
     with pytest.raises(ValueError, match=r"run\.checkpoint"):
         latest(file, job="other")
     with monkeypatch.context() as patch:
-        patch.setattr("diffmill.io._checkpoint._VERSION", 4)
-        with pytest.raises(ValueError, match=r"3.* 4"):
+        patch.setattr("diffmill.io._checkpoint._VERSION", 5)
+        with pytest.raises(ValueError, match=r"4.* 5"):
             latest(file)
     monkeypatch.setattr("diffmill.io._checkpoint._versions", lambda: "jax 0")
     with pytest.raises(ValueError, match="jax 0"):

@@ -39,9 +39,9 @@ from ._feed.trade_off_curve import FeedPoint as FeedPoint
 from ._feed.tune_feed import feed_tradeoff as feed_tradeoff, tune_feed as tune_feed
 from ._job.correct import (
     Correction as Correction,
-    NothingToCorrect as NothingToCorrect,
     correct as correct,
 )
+from ._job.correction_problem import NothingToCorrect as NothingToCorrect
 from ._job.joint_limits import (
     JointLimits as JointLimits,
 )

@@ -22,7 +22,7 @@ from .._results_folder import previous_of, write_whole
 
 Arrays: TypeAlias = Mapping[str, Shaped[np.ndarray, "..."]]
 
-_MAGIC, _VERSION = b"diffmill-checkpoint", 3
+_MAGIC, _VERSION = b"diffmill-checkpoint", 4
 # Longest first line that is looked at.
 _LONGEST = 200
 # Names that the file adds to the arrays, which themselves never begin with a dot.

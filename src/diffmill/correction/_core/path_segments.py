@@ -15,13 +15,13 @@ from ..._moving_rows import is_moving, step_lengths
 from ..._types import BoolSteps, FloatRows3, FloatSteps
 
 # Turn of the feed within the length of a window that makes a corner [rad].
-_TURN = np.deg2rad(10.0)
+_CORNER_TURN = np.deg2rad(10.0)
 # Change of the cut section over a window, relative to the larger, that is no plateau.
-_CHANGE = 0.25
+_SECTION_CHANGE = 0.25
 # Row spacing below which a tool dwells [m].
-_STILL = 1e-9
+_DWELL_SPACING = 1e-9
 # A full cut pushes the rigid tool by at least this share of the median force on it.
-_FULL = 0.25
+_FULL_CUT_SHARE = 0.25
 
 
 class PathParts(eqx.Module):
@@ -70,21 +70,21 @@ class PathParts(eqx.Module):
         entry, exit_, corner, plateau = range(4)
         desired = np.asarray(desired, np.float64)
         is_cutting = np.asarray(is_cutting, bool)
-        travel = _travel(desired)
+        travel = np.cumsum(step_lengths(desired))
         since, until = _distances_to_air(travel, is_cutting)
         part = np.full(len(desired), plateau, np.int32)
         if removed_volume is not None:
             rise = _section_rise(travel, np.asarray(removed_volume, np.float64), reach)
-            part[rise > _CHANGE] = entry
-            part[rise < -_CHANGE] = exit_
+            part[rise > _SECTION_CHANGE] = entry
+            part[rise < -_SECTION_CHANGE] = exit_
         part[until < reach] = exit_
         part[since < reach] = entry
-        part[_turn(desired, travel, reach / 2) > _TURN] = corner
+        part[_turn(desired, travel, reach / 2) > _CORNER_TURN] = corner
         part[~is_cutting] = -1
         return cls(part)
 
     def rows(self, *names: str) -> Bool[np.ndarray, " step"]:
-        """Return which rows belong to one of some parts, shape (step,)."""
+        """True at rows that belong to one of some parts, shape (step,)."""
         return np.isin(self.index, [self.NAMES.index(name) for name in names])
 
     def figures(
@@ -139,21 +139,15 @@ class PathParts(eqx.Module):
         if not is_out.any():
             return is_out
         size = np.linalg.norm(np.asarray(rigid_force, np.float64), axis=1)
-        is_full = size >= _FULL * np.median(size[is_out])
+        is_full = size >= _FULL_CUT_SHARE * np.median(size[is_out])
         moves = is_moving(step_lengths(desired), np.asarray(self.index >= 0))
         return is_out & is_full & moves & ~np.any(np.asarray(force) != 0, axis=1)
-
-
-def _travel(desired: Float[np.ndarray, "step 3"]) -> Float[np.ndarray, " step"]:
-    """Return the length of the path up to each row [m]."""
-    steps = np.linalg.norm(np.diff(desired, axis=0), axis=1)
-    return np.concatenate([[0.0], np.cumsum(steps)])
 
 
 def _distances_to_air(
     travel: Float[np.ndarray, " step"], is_cutting: Bool[np.ndarray, " step"]
 ) -> tuple[Float[np.ndarray, " step"], Float[np.ndarray, " step"]]:
-    """Return the travel since the cut began and until it ends [m]."""
+    """Travel since the cut began and until it ends [m], each of shape (step,)."""
     air = np.flatnonzero(~is_cutting)
     rows = np.arange(len(travel))
     if not air.size:
@@ -171,10 +165,10 @@ def _turn(
     travel: Float[np.ndarray, " step"],
     window: float,
 ) -> Float[np.ndarray, " step"]:
-    """Return the angle of the feed `window` ahead of a row to that behind it [rad]."""
+    """Angle of the feed `window` ahead of a row to that behind it [rad], (step,)."""
     steps = np.diff(desired, axis=0)
     length = np.linalg.norm(steps, axis=1)
-    moves = np.flatnonzero(length > _STILL)
+    moves = np.flatnonzero(length > _DWELL_SPACING)
     if not moves.size:
         return np.zeros(len(desired))
     direction = steps[moves] / length[moves, None]
@@ -193,7 +187,7 @@ def _section_rise(
     volume: Float[np.ndarray, " step"],
     reach: float,
 ) -> Float[np.ndarray, " step"]:
-    """Return how much of the cut section came up over the last reach, -1 to 1.
+    """Relative rise of the cut section over the last reach, -1 to 1, shape (step,).
 
     The section is the removed volume per travel, over half a reach to either side.
     """

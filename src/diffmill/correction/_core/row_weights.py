@@ -23,7 +23,7 @@ def row_weights(
     spread: int = 0,
     is_touching: BoolSteps | None = None,
 ) -> Float[np.ndarray, " step"]:
-    """Return the weight of every row in the error.
+    """Weight of every row in the error, shape (step,).
 
     Args:
         is_cutting: Whether the rigid tool cuts, shape (step,); other rows weigh 0.
@@ -62,28 +62,24 @@ def row_weights(
         is_finishing[np.clip(near, 0, len(weights) - 1)] = True
         weights[is_cutting & ~is_finishing] = 0.0
     if not np.any(weights[is_cutting] > 0):
+        cut = line[is_cutting]
+        lines = f"{cut.min()} to {cut.max()}" if cut.size else "none"
         raise ValueError(
             "Argument `sections` must leave a row that cuts a weight above 0, but all "
-            f"are 0; the rows that cut come from lines {_lines(line, is_cutting)}."
+            f"are 0; the rows that cut come from lines {lines}."
         )
     return weights
 
 
 def surface_poses(stock: Stock) -> Int[np.ndarray, " pose"]:
-    """Return the poses that cut some live end of a stock, ascending.
+    """Poses that cut some live end of a stock, ascending, shape (pose,).
 
     **Differentiability**: none, a host function.
     """
-    found = []
+    families = []
     for rays in stock.families:
         ends, poses = np.asarray(rays.ends), np.asarray(rays.poses)
         is_live = (ends[:, :, 1] > ends[:, :, 0])[:, :, None] & (poses >= 0)
         # A tooth cuts in the period that ends at its pose.
-        found.append(np.unique(-(-poses[is_live] // Rays.TICKS)))
-    return np.unique(np.concatenate(found))
-
-
-def _lines(line: IntSteps, is_cutting: BoolSteps) -> str:
-    """Return the span of the lines that cut."""
-    cut = np.asarray(line)[np.asarray(is_cutting, bool)]
-    return f"{cut.min()} to {cut.max()}" if cut.size else "none"
+        families.append(np.unique(-(-poses[is_live] // Rays.TICKS)))
+    return np.unique(np.concatenate(families))

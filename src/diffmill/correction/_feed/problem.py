@@ -6,7 +6,6 @@ slowest override, so that the shapes stay and the whole differentiates.
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -88,7 +87,11 @@ class FeedProblem(eqx.Module):
         rows = jnp.arange(self.weights.shape[0], dtype=places.dtype)
         weights = jnp.interp(places, rows, jnp.asarray(self.weights, places.dtype))
         contour = contour_vector(motion.actual, desired)
-        return WeightedContour(contour, weights * _lengths(desired))
+        steps = jnp.diff(desired, axis=0, prepend=desired[:1])
+        square = jnp.sum(steps**2, axis=1)
+        moves = square > 0
+        lengths = jnp.where(moves, jnp.sqrt(jnp.where(moves, square, 1.0)), 0.0)
+        return WeightedContour(contour, weights * lengths)
 
     @staticmethod
     def smoothed(weights: Weights, rows: int = 8) -> Float[np.ndarray, " step"]:
@@ -103,16 +106,13 @@ class FeedProblem(eqx.Module):
         return np.convolve(wide, window, mode="valid")
 
 
-def _lengths(rows: Float[Array, "row 3"]) -> Float[Array, " row"]:
-    """Return the length that the tool moves up to each row [m]."""
-    steps = jnp.diff(rows, axis=0, prepend=rows[:1])
-    square = jnp.sum(steps**2, axis=1)
-    is_any = square > 0
-    return jnp.where(is_any, jnp.sqrt(jnp.where(is_any, square, 1.0)), 0.0)
+class FeedFigures(eqx.Module):
+    """Mean square error and time of a path.
 
-
-class FeedFigures(NamedTuple):
-    """Mean square error [m^2] and time [s] of a path."""
+    Attributes:
+        square: Mean square error [m^2], shape ().
+        time: Time of the whole path [s], shape ().
+    """
 
     square: RealScalarLike
     time: RealScalarLike
@@ -128,7 +128,7 @@ def feed_figures(
     return FeedFigures(found.mean_square(), problem.feed.instants(override)[-1])
 
 
-class FeedSlopes(NamedTuple):
+class FeedSlopes(eqx.Module):
     """Derivatives of half the mean square error [m^2] and of the time [s].
 
     Attributes:
@@ -138,10 +138,10 @@ class FeedSlopes(NamedTuple):
         time_curvature: Of the time, shape (knot, knot).
     """
 
-    gradient: Array
-    curvature: Array
-    time_gradient: Array
-    time_curvature: Array
+    gradient: Float[Array, " knot"]
+    curvature: Float[Array, "knot knot"]
+    time_gradient: Float[Array, " knot"]
+    time_curvature: Float[Array, "knot knot"]
 
 
 @eqx.filter_jit

@@ -33,11 +33,11 @@ from .problem import FeedFigures, FeedProblem, feed_figures, feed_slopes
 # Called with a message and the share of the weights that are done.
 OnShare = Callable[[str, float], None]
 # Largest change of an override in one step, as a logarithm.
-_STRIDE = 0.4
+_MAX_STEP = 0.4
 # Factor of the damping after a good step.
-_LESS = 0.2
+_DAMPING_DECREASE = 0.2
 # A step that promises less of the objective than this ends the search.
-_SETTLED = 3e-5
+_COST_RTOL = 3e-5
 _ATTEMPTS = 6
 
 
@@ -111,9 +111,9 @@ class FeedPoint(eqx.Module):
         solver = LevenbergMarquardt(
             max_steps=max_steps,
             attempts=_ATTEMPTS,
-            max_step=_STRIDE,
-            damping_decrease=_LESS,
-            cost_rtol=_SETTLED,
+            max_step=_MAX_STEP,
+            damping_decrease=_DAMPING_DECREASE,
+            cost_rtol=_COST_RTOL,
         )
         tell = on_progress or (lambda message, share: None)
         state = LeastSquaresState(x, first, solver.damping)
@@ -141,7 +141,7 @@ class FeedPoint(eqx.Module):
 
 
 def _point(weight: float, state: LeastSquaresState) -> FeedPoint:
-    """Return what was found for a weight; the path as it is has none."""
+    """Point of the curve for a weight; NaN for the path as it is."""
     return FeedPoint(
         weight,
         np.exp(state.x),
@@ -174,17 +174,25 @@ class _Objective(AbstractProblem):
 
     def evaluate(self, x: Float[np.ndarray, " knot"]) -> FeedFigures | None:
         """Return the figures; None where the motion is not finite."""
-        found = _figures(self.problem, x, self.rows)
-        is_finite = math.isfinite(found.square) and math.isfinite(found.time)
-        return found if is_finite else None
+        figures = _figures(self.problem, x, self.rows)
+        is_finite = math.isfinite(figures.square) and math.isfinite(figures.time)
+        return figures if is_finite else None
 
     def model(
         self, x: Float[np.ndarray, " knot"], value: FeedFigures
     ) -> QuadraticModel:
         """Return the model of the objective."""
         dtype = jnp.result_type(self.problem.feed.path.positions)
-        found = feed_slopes(self.problem, jnp.asarray(x, dtype), self.rows)
-        g, H, g_time, H_time = (np.asarray(part, np.float64) for part in found)
+        slopes = feed_slopes(self.problem, jnp.asarray(x, dtype), self.rows)
+        g, H, g_time, H_time = (
+            np.asarray(part, np.float64)
+            for part in (
+                slopes.gradient,
+                slopes.curvature,
+                slopes.time_gradient,
+                slopes.time_curvature,
+            )
+        )
         # Where the time is not convex its curvature is left out, not followed.
         values, vectors = np.linalg.eigh((H_time + H_time.T) / 2)
         H_time = (vectors * np.maximum(values, 0.0)) @ vectors.T

@@ -6,25 +6,20 @@ override over as many rows as the slowest needs, the tool standing still at the 
 the faster ones, where it cuts nothing: one compiled program serves all.
 """
 
-from typing import NamedTuple
-
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from ..._job import Job
+from ..._moving_rows import step_lengths
 from ..._types import RealScalarLike
 from ...process import AbstractAdjoint, ThroughPoses
 from ...sim import JobKinematics, MachiningProblem, Solution, simulate
 from ...toolpath import PathFeed, retime
 from .._core.problem import Motion
-from .._job.correct import (
-    NEVER_CUTS,
-    NothingToCorrect,
-    correct,
-    counting_weights,
-)
+from .._job.correct import correct
+from .._job.correction_problem import NEVER_CUTS, NothingToCorrect, counting_weights
 from .._job.plant_segments import wall_motion
 from .problem import FeedProblem
 from .result import FeedTradeoff, TunedFeed
@@ -89,7 +84,7 @@ def feed_tradeoff(
     times = [feed.cycle_time(override) for override in overrides]
     rows = max(feed.row_count(override) for override in overrides)
     tell = on_progress or (lambda message, share: None)
-    runs: list[_Run] = []
+    runs: list[dict[str, float]] = []
     for done, (override, time) in enumerate(zip(overrides, times, strict=True)):
         share, name = done / len(overrides), f"override {override:g}"
         tell(name, share)
@@ -101,28 +96,27 @@ def feed_tradeoff(
             report = lambda text, rms, share=share, name=name: tell(
                 f"{name}, {text}: contour error {1e6 * rms:.2f} um rms", share
             )
-            found = correct(slowed, on_progress=report)
-            before, after = found.before, _error(found.after)
-            offset = float(jnp.abs(found.commanded - before.desired).max())
+            correction = correct(slowed, on_progress=report)
+            before, after = correction.before, _error(correction.after)
+            offset = float(jnp.abs(correction.commanded - before.desired).max())
         else:
             before, after, offset = simulate(slowed), np.nan, np.nan
+        steps = _steps(before)
+        if not np.any(steps > 0):
+            raise NothingToCorrect(NEVER_CUTS)
         runs.append(
-            _Run(override, time, _advance(before), _error(before), after, offset)
+            {
+                "override": override,
+                "cycle_time": time,
+                "feed_per_tooth": float(np.median(steps[steps > 0])),
+                "uncorrected": _error(before),
+                "corrected": after,
+                "max_offset": offset,
+            }
         )
         tell(f"{name}: {1e6 * _error(before):.2f} um", (done + 1) / len(overrides))
-    columns = zip(_Run._fields, np.array(runs, float).T, strict=True)
-    return FeedTradeoff(**dict(columns))
-
-
-class _Run(NamedTuple):
-    """A row of a `FeedTradeoff`."""
-
-    override: float
-    cycle_time: float
-    feed_per_tooth: float
-    uncorrected: float
-    corrected: float
-    max_offset: float
+    columns = {name: np.array([run[name] for run in runs], float) for name in runs[0]}
+    return FeedTradeoff(**columns)
 
 
 def tune_feed(
@@ -203,21 +197,12 @@ def _check_machine(job: Job) -> None:
 
 
 def _steps(solution: Solution) -> Float[np.ndarray, " row"]:
-    """Return the length of the path up to each row that cuts, else zero [m]."""
-    rows = np.asarray(solution.desired, np.float64)
-    steps = np.linalg.norm(np.diff(rows, axis=0, prepend=rows[:1]), axis=1)
-    return np.where(np.asarray(solution.is_cutting), steps, 0.0)
-
-
-def _advance(solution: Solution) -> float:
-    """Return the median advance per tooth of the rows that cut [m]."""
-    steps = _steps(solution)
-    if not np.any(steps > 0):
-        raise NothingToCorrect(NEVER_CUTS)
-    return float(np.median(steps[steps > 0]))
+    """Length of the path up to each row that cuts, else zero [m], shape (row,)."""
+    cuts = np.asarray(solution.is_cutting)
+    return np.where(cuts, step_lengths(solution.desired), 0.0)
 
 
 def _error(solution: Solution) -> float:
-    """Return the root mean square contour error over the length that is cut [m]."""
+    """Root mean square contour error over the length that is cut [m]."""
     square = np.asarray(solution.contour_error, np.float64) ** 2
     return float(np.sqrt(np.average(square, weights=_steps(solution))))

@@ -3,9 +3,10 @@
 import dataclasses
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -26,41 +27,23 @@ from .._method.gauss_newton import GaussNewton
 from .._method.input_shaper import shaped_program
 from .._method.inverse_drive import InverseDriveCommand, inverse_drive
 from .._method.mirror import Mirror
+from .._segments.receding_horizon import RecedingHorizon
 from .._spline.projection import clip_offset
-from .._surface.finished_surface import FinishedSurface
 from .case_runner import CaseRecord, OnProgress
+from .correction_problem import CorrectionProblem, checked_job
 from .joint_limits import JointLimits
 from .linear_job import prepare_linear_job
 from .method import (
     OPTIMISERS,
+    Optimiser,
     for_the_path,
     job_optimiser,
     out_of_bounds,
     within_joint_limits,
 )
-from .objective import (
-    check_limits,
-    job_objective,
-    job_spline,
-    job_surface,
-    job_weights,
-    remaining_error,
-)
-from .plants import (
-    JointPlant,
-    SolvedMotion,
-    TipPlant,
-    job_mirror,
-    job_problem,
-    joint_problem,
-    solved_motion,
-)
-from .resumable import (
-    SegmentRows,
-    segment_rows,
-    with_segment_checkpoints,
-    with_step_checkpoints,
-)
+from .objective import check_limits, job_spline
+from .plants import JointPlant, SolvedMotion, TipPlant, job_mirror, solved_motion
+from .segment_rows import SegmentRows
 
 if TYPE_CHECKING:
     import xarray
@@ -73,15 +56,6 @@ CASES = (
     "inverse_drive",
     "corrected",
 )
-# Of a program that only passes over its stock.
-NEVER_CUTS = (
-    "Argument `job` must have a program that cuts its stock, but the rigid tool "
-    "removes nothing."
-)
-
-
-class NothingToCorrect(ValueError):
-    """Raise when a program never cuts, so that there is no error to correct."""
 
 
 class Correction(eqx.Module):
@@ -208,60 +182,55 @@ def correct(
 
     Differentiability: runs on the host, not traceable.
     """
-    job = job.with_precision()
-    if job.is_rigid:
-        raise ValueError("Argument `job` must not have a rigid machine, but has.")
+    job = checked_job(job)
     if job.commanded is not None:
         raise ValueError("Argument `job` must not have a command of its own, but has.")
     check_objective(objective)
     # A horizon that cannot be is refused before anything runs.
-    segments = segment_rows(job, has_own_objective=objective is not None)
+    segments = SegmentRows.of_job(job, has_own_objective=objective is not None)
     check_limits(job)
     adjoint = ThroughPoses()
     desired = jnp.asarray(job.path.positions)
-    uses_linear = job.correction.method != "adam" and "corrected" in compared(job)
-    if uses_linear and segments is None:
+    is_optimised = "corrected" in compared(job)
+    if is_optimised and segments is None and job.correction.method != "adam":
         prepare_linear_job(job)
     # A program beyond a joint's limit is refused before anything runs, too.
     JointLimits(job).check(desired, is_joints=False)
     record = CaseRecord(on_progress, on_checkpoint, resume)
     # The first case is this run: the methods need it before it is recorded.
-    job, before = record.timed(
-        lambda: simulate_with_slot_growth(
-            job, desired, adjoint, lambda message, share: None
+    with record.timed_preparation():
+        job, before = jax.block_until_ready(
+            simulate_with_slot_growth(
+                job, desired, adjoint, lambda message, share: None
+            )
         )
-    )
-    rigid = before.rigid
     if throw:
         before.raise_unless_successful(job)
     if on_predicted is not None:
         on_predicted(before)
-    is_optimised = "corrected" in compared(job)
-    surface = job_surface(job, rigid, before.wall_share) if is_optimised else None
-    weights = counting_weights(job, before, surface)
-    plant = TipPlant(job, adjoint, before.wall_share, rigid)
-    problem = job_problem(job, plant, desired, before, weights)
-    task = _Task(job, plant, before, problem, segments, objective)
+    task = CorrectionProblem.of(
+        job, before, adjoint, objective=objective, is_optimised=is_optimised
+    )
     # Settings that do not suit the job are refused before the baselines run.
-    optimiser = _Optimiser(task, surface) if is_optimised else None
+    method = None
+    if is_optimised:
+        method = job_optimiser(job, task.objective, task.surface, task.plant)
     inverse = None
     if job.robot is not None:
-        inverse = _inverse_drive(job, rigid.force, desired)
-    _run_baselines(task, record, inverse)
-    if optimiser is not None:
-        optimiser.run(record, inverse)
-    return _finished(task, record)
-
-
-class _Task(NamedTuple):
-    """Task that every case of a correction shares."""
-
-    job: Job
-    plant: TipPlant
-    before: Solution
-    problem: Problem
-    segments: SegmentRows | None
-    objective: AbstractObjective | None
+        # A robot without inertia and damping is one that moves without end slowly.
+        is_slow = job.simulation.mode == "quasistatic"
+        inverse = _inverse_drive(
+            job.robot,
+            JobKinematics(job).joints(desired).positions,
+            before.rigid.force,
+            math.inf if is_slow else job.tooth_period,
+            T_base_work=job.T_base_work,
+            is_gravity_compensated=job.simulation.is_gravity_compensated,
+        )
+    _run_baselines(task, record, segments, inverse)
+    if method is not None:
+        _run_optimiser(task, record, method, segments, inverse)
+    return _compared_cases(task, record)
 
 
 def compared(job: Job) -> tuple[str, ...]:
@@ -278,99 +247,102 @@ def compared(job: Job) -> tuple[str, ...]:
 
 
 def _run_baselines(
-    task: _Task, record: CaseRecord, inverse: InverseDriveCommand | None
+    task: CorrectionProblem,
+    record: CaseRecord,
+    segments: SegmentRows | None,
+    inverse: InverseDriveCommand | None,
 ) -> None:
     """Run the cases that need no optimiser.
 
-    The one that is asked for is refused as soon as it is found.
+    The one that is asked for is refused as soon as its command is known.
     """
-    job, problem = task.job, task.problem
+    job, problem = task.job, task.tips
+    before, desired = solved_motion(task.before), jnp.asarray(problem.desired)
+    methods: dict[str, AbstractMethod] = {
+        "uncorrected": GivenCommand(motion=before),
+        "mirror": Mirror(before=before),
+    }
     cases = compared(job)
-    known = solved_motion(task.before)
-
-    def run(name: str, method: AbstractMethod) -> None:
-        record.run(name, method, problem)
+    if "mirror_iterated" in cases:
+        length = None if segments is None else segments.length
+        methods["mirror_iterated"] = job_mirror(problem, task.before, length)
+    tips = {}
+    if "input_shaper" in cases:
+        tips["input_shaper"] = shaped_program(job, desired)
+    if inverse is not None:
+        tips["inverse_drive"] = inverse.tip
+    for name, command in tips.items():
+        command = clip_offset(desired, command, problem.max_offset)
+        methods[name] = GivenCommand(command)
+    for name, method in methods.items():
+        command = record.run(name, method, problem).command
         if name == job.correction.method:
-            command = record.methods[name].command
             JointLimits(job).check(command, is_joints=False)
 
-    run("uncorrected", GivenCommand(motion=known))
-    run("mirror", Mirror(before=known))
-    if "mirror_iterated" in cases:
-        segment = None if task.segments is None else task.segments.length
-        run("mirror_iterated", job_mirror(problem, task.before, segment))
-    desired, bound = jnp.asarray(problem.desired), problem.max_offset
-    if "input_shaper" in cases:
-        tips = clip_offset(desired, shaped_program(job, desired), bound)
-        run("input_shaper", GivenCommand(tips))
-    if inverse is not None:
-        tips = clip_offset(desired, inverse.tip, bound)
-        run("inverse_drive", GivenCommand(tips))
 
+def _run_optimiser(
+    task: CorrectionProblem,
+    record: CaseRecord,
+    method: Optimiser,
+    segments: SegmentRows | None,
+    inverse: InverseDriveCommand | None,
+) -> None:
+    """Run the optimiser from the best of the cases before, or from the inverse drive.
 
-class _Optimiser:
-    """The case that an optimiser finds, from the best of those before."""
-
-    def __init__(self, task: _Task, surface: FinishedSurface | None):
-        job = task.job
-        self.task, self.surface = task, surface
-        weights = np.asarray(task.problem.is_cutting)
-        objective = task.objective
-        if objective is None:
-            objective = job_objective(job, self.surface, weights)
-        self.objective = objective
-        self.method = job_optimiser(job, self.objective, self.surface, task.plant)
-
-    def run(self, record: CaseRecord, inverse: InverseDriveCommand | None) -> None:
-        """Add the case to those of a record."""
-        job, before, problem = self.task.job, self.task.before, self.task.problem
-        adjoint = self.task.plant.adjoint
-        method = self.method
-        if job.correction.command == "joint":
-            assert inverse is not None
-            problem = joint_problem(job, adjoint, before, problem)
-            start = inverse.motor_positions
-        else:
-            start = min(record.methods.values(), key=self._remaining).command
-            start = _spread(job, start)
-        method = within_joint_limits(method, job, problem)
-        path_first = None if self.task.segments else for_the_path(method)
-        if path_first is not None:
-            start = self._on_the_path(record, path_first, problem, start)
+    Raises:
+        InfeasibleLimit: The program leaves the joints no room, or no correction holds
+            all limits.
+    """
+    job, problem = task.job, task.tips
+    if job.correction.command == "joint":
+        assert inverse is not None
+        problem, start = task.in_joints(), inverse.motor_positions
+    else:
+        start = min(record.methods.values(), key=task.remaining_error).command
+        start = _spread(job, start)
+    method = within_joint_limits(method, job, problem)
+    path_first = None if segments else for_the_path(method)
+    if path_first is not None:
+        start = _start_on_path(task, record, method, path_first, problem, start)
+    search: Optimiser | RecedingHorizon = method
+    if segments is not None:
         plant = problem.plant
         assert isinstance(plant, TipPlant | JointPlant)
-        kept = with_segment_checkpoints(
-            method, plant.pieces, record, self.task.segments
+        assert isinstance(method, GaussNewton)
+        search = RecedingHorizon(
+            plant.pieces, method, horizon=segments.length, overlap=segments.overlap
         )
-        record.run("corrected", kept, problem, start=start)
+    record.run(
+        "corrected", search, problem, start=start, **record.kept_search("corrected")
+    )
 
-    def _on_the_path(
-        self,
-        record: CaseRecord,
-        path_first: GaussNewton,
-        problem: Problem,
-        start: FloatRows,
-    ) -> FloatRows:
-        """Return a start with the rows that touch the surface on the path."""
-        assert self.surface is not None
-        rows = self.surface.touching_rows(np.asarray(problem.desired))
-        rows = rows.astype(problem.is_cutting.dtype)
-        if self.task.job.correction.objective == "path":
-            rows = np.maximum(problem.is_cutting, rows)
-        touching = dataclasses.replace(problem, is_cutting=rows)
-        first = with_step_checkpoints(path_first, "start_on_path", record)
-        found = record.prepare("start_on_path", first, touching, start=start)
-        given = GivenCommand(path_first.begin(problem, start))
-        given = record.prepare("start_as_given", given, problem)
-        closest = lambda m: self._remaining(m) + out_of_bounds(self.method, m)
-        return min((found, given), key=closest).command
 
-    def _remaining(self, found: MethodResult) -> float:
-        return remaining_error(self.objective, self.task.problem, found)
+def _start_on_path(
+    task: CorrectionProblem,
+    record: CaseRecord,
+    method: Optimiser,
+    path_first: GaussNewton,
+    problem: Problem,
+    start: FloatRows,
+) -> FloatRows:
+    """Start with the rows that touch the surface on the path, if that is closer."""
+    assert task.surface is not None
+    rows = task.surface.touching_rows(np.asarray(problem.desired))
+    rows = rows.astype(problem.is_cutting.dtype)
+    if task.job.correction.objective == "path":
+        rows = np.maximum(problem.is_cutting, rows)
+    touching = dataclasses.replace(problem, is_cutting=rows)
+    name = "start_on_path"
+    kept = record.kept_search(name)
+    on_path = record.run(name, path_first, touching, is_case=False, start=start, **kept)
+    given = GivenCommand(path_first.begin(problem, start))
+    given = record.run("start_as_given", given, problem, is_case=False)
+    closest = lambda m: task.remaining_error(m) + out_of_bounds(method, m)
+    return min((on_path, given), key=closest).command
 
 
 def _spread(job: Job, start: FloatRows) -> FloatRows:
-    """Return a start with the random offsets that a job asks for."""
+    """Start with the random offsets that a job asks for."""
     settings = job.correction
     if settings.start_spread == 0.0:
         return start
@@ -381,24 +353,27 @@ def _spread(job: Job, start: FloatRows) -> FloatRows:
     return np.asarray(start) + np.asarray(offsets, start.dtype)
 
 
-def _finished(task: _Task, record: CaseRecord) -> Correction:
-    """Check what an optimiser found, and collect the solutions of all cases."""
-    job, before, methods = task.job, task.before, record.methods
+def _compared_cases(task: CorrectionProblem, record: CaseRecord) -> Correction:
+    """Correction with the solutions of all cases, its joints within their limits."""
+    job, before, outcomes = task.job, task.before, record.methods
     chosen = job.correction.method
     if chosen in OPTIMISERS:
         chosen = "corrected"
         are_joints = job.correction.command == "joint"
-        JointLimits(job).check(methods[chosen].command, is_joints=are_joints)
-    cases = {name: _solution(task, name, found) for name, found in methods.items()}
+        JointLimits(job).check(outcomes[chosen].command, is_joints=are_joints)
+    cases, methods = {}, {}
     # What a method minimises also counts rows that only pass over the surface.
     cuts = np.asarray(before.is_cutting)
-    methods = {
-        name: dataclasses.replace(
-            found,
-            measures=ContourStatistics.of(np.linalg.norm(found.contour, axis=1), cuts),
-        )
-        for name, found in methods.items()
-    }
+    for name, outcome in outcomes.items():
+        motion = outcome.motion
+        if not isinstance(motion, SolvedMotion):
+            # The outcome is from before an interruption.
+            motion = task.plant.run(outcome.command)
+            assert isinstance(motion, SolvedMotion)
+        cases[name] = motion.solution
+        error = np.linalg.norm(outcome.contour, axis=1)
+        measures = ContourStatistics.of(error, cuts)
+        methods[name] = dataclasses.replace(outcome, measures=measures)
     parts = PathParts.of_path(
         np.asarray(before.desired),
         np.asarray(before.is_cutting),
@@ -408,49 +383,4 @@ def _finished(task: _Task, record: CaseRecord) -> Correction:
     return Correction(cases, methods, record.wall_time, parts, chosen)
 
 
-def _solution(task: _Task, name: str, found: MethodResult) -> Solution:
-    """Return the solution of a case; one that was taken up again has to be run."""
-    if isinstance(found.motion, SolvedMotion):
-        return found.motion.solution
-    job, before = task.job, task.before
-    plant: TipPlant | JointPlant = task.plant
-    if name == "corrected" and job.correction.command == "joint":
-        plant = JointPlant(job, plant.adjoint, before.wall_share, before.rigid)
-    motion = plant.run(found.command)
-    assert isinstance(motion, SolvedMotion)
-    return motion.solution
-
-
-def counting_weights(
-    job: Job, before: Solution, surface: FinishedSurface | None
-) -> Float[np.ndarray, " step"]:
-    """Return how much every row counts.
-
-    Raises:
-        NothingToCorrect: None does.
-    """
-    if not np.any(before.is_cutting):
-        raise NothingToCorrect(NEVER_CUTS)
-    try:
-        return job_weights(job, before.rigid, np.asarray(before.is_cutting), surface)
-    except ValueError as error:
-        raise NothingToCorrect(str(error)) from error
-
-
-def _inverse_drive(
-    job: Job, force: Float[Array, "step 3"], desired: Float[Array, "step 3"]
-) -> InverseDriveCommand:
-    assert job.robot is not None
-    # A robot without inertia and damping is one that moves without end slowly.
-    is_slow = job.simulation.mode == "quasistatic"
-    return _driven(
-        job.robot,
-        JobKinematics(job).joints(desired).positions,
-        force,
-        math.inf if is_slow else job.tooth_period,
-        T_base_work=job.T_base_work,
-        is_gravity_compensated=job.simulation.is_gravity_compensated,
-    )
-
-
-_driven = eqx.filter_jit(inverse_drive)
+_inverse_drive = eqx.filter_jit(inverse_drive)

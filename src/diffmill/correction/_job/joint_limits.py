@@ -21,8 +21,8 @@ from ...sim import JobKinematics
 from .._spline.command_limits import InfeasibleLimit, LinearLimits
 from .._spline.spline_offsets import SplineOffsets, basis_matrix
 
-# The bend is taken as what it is to second order, and so many times more.
-_SAFE = 1.5
+# Factor of safety on the bend to second order.
+_SAFETY_FACTOR = 1.5
 
 Motors = Float[np.ndarray, "step joint"]
 
@@ -39,7 +39,7 @@ class JointLimits(eqx.Module):
     def rows(
         self, spline: SplineOffsets, nominal: FloatRows, max_offset: float
     ) -> tuple[LinearLimits, ...]:
-        """Return the limits of the coefficients of a command.
+        """Limits of the coefficients of a command.
 
         Args:
             spline: Basis of the offset.
@@ -47,7 +47,7 @@ class JointLimits(eqx.Module):
             max_offset: Bound of the coefficients.
 
         Returns:
-            One entry, or none where no limit is near.
+            One entry; an empty tuple where no limit is near.
 
         Raises:
             InfeasibleLimit: The program itself is beyond a limit, or so near to one
@@ -66,20 +66,20 @@ class JointLimits(eqx.Module):
             JobKinematics(job).motor_positions_from_joints(joints), np.float64
         )
         slope = np.asarray(JobKinematics(job).motor_slopes(joints, tips), np.float64)
-        bend = _limited_motors(job, joints, tips, slope, max_offset)
+        bend = _bend_bound(job, joints, tips, slope, max_offset)
         least, most = (
             np.asarray(x, np.float64)[None]
             for x in (robot.joint_lower, robot.joint_upper)
         )
         lower, upper = least + bend - motors, most - bend - motors
-        why = ", with what the joint's motion bends over `max_offset`"
-        _refuse(job, motors, np.maximum(lower, -upper), float(spline.time_step), why)
+        cause = ", with what the joint's motion bends over `max_offset`"
+        _refuse(job, motors, np.maximum(lower, -upper), float(spline.time_step), cause)
         reach = max_offset * np.sum(np.abs(slope), axis=2)
         rows, joints = np.nonzero((lower > -reach) | (upper < reach))
         if not rows.size:
             return ()
         near = (rows, joints)
-        return (_mixed(spline, rows, slope[near], lower[near], upper[near]),)
+        return (_at_rows(spline, rows, slope[near], lower[near], upper[near]),)
 
     def check(self, command: FloatRows, *, is_joints: bool) -> None:
         """Raise if a command brings a motor beyond its limit.
@@ -108,14 +108,14 @@ class JointLimits(eqx.Module):
         _refuse(job, motors, excess, float(job.tooth_period), "")
 
 
-def _limited_motors(
+def _bend_bound(
     job: Job,
     joints: Float[Array, "step joint"],
     tips: Float[Array, "step 3"] | None,
     slope: Float[np.ndarray, "step joint axis"],
     max_offset: float,
 ) -> Motors:
-    """Return how far motors come from the first order, at most, within the offset.
+    """Largest distance of motors from the first order within the offset, (step, joint).
 
     To second order that is half a quadratic form of the offset. Its matrix is how the
     slope changes, and the sum of its entries' sizes bounds it in the whole box.
@@ -127,11 +127,11 @@ def _limited_motors(
         there = None if tips is None else tips.at[:, axis].add(max_offset)
         change = np.asarray(JobKinematics(job).motor_slopes(aside, there)) - slope
         bend += np.sum(np.abs(change), axis=2)
-    return _SAFE * max_offset / 2 * bend
+    return _SAFETY_FACTOR * max_offset / 2 * bend
 
 
 def _refuse(
-    job: Job, motors: Motors, excess: Motors, time_step: float, why: str
+    job: Job, motors: Motors, excess: Motors, time_step: float, cause: str
 ) -> None:
     """Raise if a motor is beyond its limit, or nearer than its motion bends."""
     row, joint = np.unravel_index(np.argmax(excess), excess.shape)
@@ -145,18 +145,18 @@ def _refuse(
     raise InfeasibleLimit(
         f"`joint limits` of {name!r} must hold {float(motors[row, joint]):.6g} rad (or "
         f"m) at {row * time_step:.4g} s, but are {least:.6g} to {most:.6g}: "
-        f"{worst:.3g} too narrow{why}."
+        f"{worst:.3g} too narrow{cause}."
     )
 
 
-def _mixed(
+def _at_rows(
     spline: SplineOffsets,
     rows: Int[np.ndarray, " limit"],
     slope: Float[np.ndarray, "limit axis"],
     lower: Float[np.ndarray, " limit"],
     upper: Float[np.ndarray, " limit"],
 ) -> LinearLimits:
-    """Return limits at some rows of a path as rows of a sparse matrix."""
+    """Limits of motors at some rows of a path, linear in the coefficients."""
     from scipy import sparse
 
     basis = sparse.coo_array(basis_matrix(spline)[rows])

@@ -46,7 +46,7 @@ def wall_motion(
     force: Float[Array, "step 3"],
     shares: Steps | None,
 ) -> Motion:
-    """Return the motion of a job as the walls show it.
+    """Motion of a job at the instants at which its walls are made.
 
     Args:
         job: The job, with the rows that were run.
@@ -86,15 +86,15 @@ class LinearJob(LinearMotion):
     state: PyTree = None
 
     def move(self, changes: Float[Array, "row axis direction"]) -> Motion:
-        """Return the changes of the motion, each direction a row of the first axis."""
+        """Changes of the motion, each direction a row of the first axis."""
         motors = jnp.einsum("kja,kad->kjd", self.motors, changes)
         if self.controller is not None:
             state = self.state
             if state is not None:
                 state = state.of_changes(changes.shape[-1])
             motors = _controlled(self.controller, motors, self.time_step, state)
-        found = self.run.move_walls(motors, self.wall_share)
-        return Motion(*(jnp.moveaxis(x, -1, 0) for x in (found.tips, found.force)))
+        moved = self.run.move_walls(motors, self.wall_share)
+        return Motion(*(jnp.moveaxis(x, -1, 0) for x in (moved.tips, moved.force)))
 
 
 def _controlled(
@@ -103,7 +103,7 @@ def _controlled(
     time_step: Float[Array, ""],
     state: PyTree,
 ) -> Float[Array, "step joint ..."]:
-    """Return what motors do of their command, from a state or from the start."""
+    """Motor positions behind the controller, from a state or from the start."""
     if state is None:
         return controller.motors(motors, time_step)
     return controller.follow(motors, time_step, state).motors
@@ -116,7 +116,7 @@ def linear_job(
     wall_share: Steps | None,
     state: JobState | None = None,
 ) -> LinearJob:
-    """Return the linear system of a job around a run.
+    """Linear system of a job around a run.
 
     Args:
         job: The job; its machine must not be rigid.
@@ -136,16 +136,13 @@ def linear_job(
     rows = problem.path.step_count
     long = lambda x: on_device(pad_rows(x, rows))
     given = long(motors), long(slopes), long(wall_share)
-    padded = _linear_job(problem, *given, None)
-    return _first_rows(padded, count) if rows > count else padded
-
-
-def _first_rows(padded: LinearJob, count: int) -> LinearJob:
-    """Return a system without the rows behind the last one that counts."""
+    system = _linear_job(problem, *given, None)
+    if rows == count:
+        return system
     by_row = lambda x: (x.motion, x.motors, x.wall_share, x.run.ends, x.run.force)
     by_period = lambda x: (x.run.loads, x.run.arm, x.run.pose, x.run.circles)
-    padded = eqx.tree_at(by_row, padded, first_rows(by_row(padded), count))
-    return eqx.tree_at(by_period, padded, first_rows(by_period(padded), count - 1))
+    system = eqx.tree_at(by_row, system, first_rows(by_row(system), count))
+    return eqx.tree_at(by_period, system, first_rows(by_period(system), count - 1))
 
 
 def prepare_linear_job(job: Job) -> None:

@@ -58,7 +58,7 @@ def job_optimiser(
 
 
 def for_the_path(method: Optimiser) -> GaussNewton | None:
-    """Return what brings the rows near the surface onto the path; None if not needed.
+    """Method that brings the rows near the surface onto the path; None if not needed.
 
     The certain model is enough for a start, and it may leave the bounds of the surface:
     on the path it is close to them, while the way to them from afar, with a spring at
@@ -81,7 +81,7 @@ def for_the_path(method: Optimiser) -> GaussNewton | None:
 
 
 def out_of_bounds(method: Optimiser, found: MethodResult) -> float:
-    """Return how far the surface leaves the method's bounds [m]; 0 without any."""
+    """Distance of the surface to the method's bounds [m]; 0 within, or without any."""
     if not isinstance(method, GaussNewton) or method.bounds is None:
         return 0.0
     return method.bounds.excess(found.motion)

@@ -91,7 +91,7 @@ def check_limits(job: Job) -> None:
 
 
 def largest_acceleration(job: Job) -> float:
-    """Return what the corrected command may accelerate per axis [m/s^2]."""
+    """Largest acceleration of the corrected command per axis [m/s^2]."""
     settings = job.correction
     if not np.isfinite(settings.acceleration_factor):
         return settings.max_acceleration

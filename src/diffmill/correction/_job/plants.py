@@ -13,7 +13,7 @@ from ..._types import FloatRows
 from ...process import AbstractAdjoint, FrozenStock
 from ...sim import JobKinematics, MachiningProblem, Run, Solution
 from .._core.method import AbstractMethod
-from .._core.problem import AbstractHostPlant, Motion, Plant, Problem
+from .._core.problem import AbstractHostPlant, Motion, Problem
 from .._method.ensemble import AbstractUncertainPlant, Parameters
 from .._method.mirror import IteratedMirror, SampledMirror
 from .linear_job import (
@@ -176,49 +176,6 @@ def _compiled(
 ) -> Motion:
     """Return the motion alone; what a derivative would need is left out."""
     return _motion(job, motors, wall_share, FrozenStock())
-
-
-def job_problem(
-    job: Job,
-    plant: Plant,
-    nominal: Float[Array, "step axis"],
-    before: Solution,
-    weights: Float[np.ndarray, " step"],
-) -> Problem:
-    """Return the problem of a plant on the path of a job."""
-    return Problem(
-        plant=plant,
-        nominal=np.asarray(nominal),
-        desired=np.asarray(before.desired),
-        is_cutting=weights.astype(np.asarray(nominal).dtype),
-        time_step=float(job.tooth_period),
-        max_offset=float(job.correction.max_offset),
-    )
-
-
-def joint_problem(
-    job: Job, adjoint: AbstractAdjoint, before: Solution, tips: Problem
-) -> Problem:
-    """Return the problem in joint positions, bounded like the tip at its far end.
-
-    Args:
-        job: The job.
-        adjoint: How to differentiate through the removal.
-        before: Solution of the uncorrected program.
-        tips: The problem in tip positions.
-    """
-    from ...robot import jacobian
-
-    kinematics = JobKinematics(job)
-    nominal, _ = kinematics.joints(jnp.asarray(tips.desired))
-    motors = list(kinematics.robot.motor_joints)
-    J = np.asarray(jacobian(kinematics.robot, nominal[0]))[:3, motors]
-    lever = np.linalg.norm(J, axis=0).max()
-    plant = JointPlant(job, adjoint, before.wall_share, before.rigid)
-    weights = np.asarray(tips.is_cutting)
-    problem = job_problem(job, plant, nominal, before, weights)
-    bound = float(job.correction.max_offset) / lever
-    return eqx.tree_at(lambda p: p.max_offset, problem, np.asarray(bound))
 
 
 def job_mirror(

@@ -1,6 +1,6 @@
 """A job as pure functions for optimisers of other packages."""
 
-from typing import NamedTuple
+import dataclasses
 
 import jax.numpy as jnp
 
@@ -15,8 +15,7 @@ from .._core.path_objective import (
 )
 from .._core.problem import Problem
 from .._method.offset_residual import OffsetResidual, offset_residual
-from .objective import job_objective, job_surface, job_weights
-from .plants import TipPlant, job_problem
+from .correction_problem import CorrectionProblem, checked_job
 
 
 def residual(
@@ -58,39 +57,24 @@ def residual(
     """
     check_objective(objective)
     if isinstance(job, Problem):
-        own = _OffsetProblem(job, PathObjective(), CorrectionSettings.knot_spacing)
+        problem, spacing = job, CorrectionSettings.knot_spacing
+        objective = PathObjective() if objective is None else objective
     else:
-        own = _tip_problem(job)
+        job = checked_job(job)
+        adjoint = ThroughPoses()
+        job, before = simulate_with_slot_growth(
+            job, jnp.asarray(job.path.positions), adjoint, lambda message, share: None
+        )
+        before.raise_unless_successful(job)
+        task = CorrectionProblem.of(job, before, adjoint, objective=objective)
+        # What a run on the host alone needs is no argument of pure functions.
+        plant = dataclasses.replace(task.plant, rigid=None)
+        problem = dataclasses.replace(task.tips, plant=plant)
+        objective, spacing = task.objective, job.correction.knot_spacing
     return offset_residual(
-        own.problem,
-        knot_spacing=own.knot_spacing if knot_spacing is None else knot_spacing,
-        objective=own.objective if objective is None else objective,
+        problem,
+        knot_spacing=spacing if knot_spacing is None else knot_spacing,
+        objective=objective,
         smoothness=smoothness,
         lag_weight=lag_weight,
     )
-
-
-class _OffsetProblem(NamedTuple):
-    """A problem with its own objective and smallest spacing of the knots [s]."""
-
-    problem: Problem
-    objective: AbstractObjective
-    knot_spacing: float
-
-
-def _tip_problem(job: Job) -> _OffsetProblem:
-    """Return the problem of a job in tip positions."""
-    job = job.with_precision()
-    if job.is_rigid:
-        raise ValueError("Argument `job` must not have a rigid machine, but has.")
-    adjoint, desired = ThroughPoses(), jnp.asarray(job.path.positions)
-    job, before = simulate_with_slot_growth(
-        job, desired, adjoint, lambda message, share: None
-    )
-    before.raise_unless_successful(job)
-    surface = job_surface(job, before.rigid, before.wall_share)
-    weights = job_weights(job, before.rigid, before.is_cutting, surface)
-    plant = TipPlant(job, adjoint, before.wall_share)
-    problem = job_problem(job, plant, desired, before, weights)
-    objective = job_objective(job, surface, weights)
-    return _OffsetProblem(problem, objective, job.correction.knot_spacing)

@@ -5,13 +5,14 @@ not (kinks close together, an error that hardly depends on the command), a metho
 only follows the gradient is slower and more patient.
 """
 
-from typing import NamedTuple
+import dataclasses
+from typing import TYPE_CHECKING
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, PyTree
 
 from ..._job import CorrectionSettings
 from ..._result import RESULTS
@@ -22,25 +23,32 @@ from .._core.problem import Problem
 from .._spline.command_limits import LinearLimits, feasible_share
 from .._spline.projection import project
 from .._spline.spline_offsets import SplineOffsets
-from .checkpoint import Arrays, OnCheckpoint, below, pack_tree, under, unpack_tree
+from .checkpoint import Arrays, OnCheckpoint, pack, unpack
 from .offset_fit import ContourResidual
 from .offset_residual import OffsetResidual, offset_residual
+
+if TYPE_CHECKING:
+    import optax
 
 Coefficients = Float[Array, "coefficient axis"]
 
 
-class _Descent(NamedTuple):
-    """Course of the steps.
+class _AdamState(eqx.Module):
+    """State of the descent after some steps.
 
     Attributes:
+        x: Point of the next gradient, shape (coefficient, axis).
+        moments: State of optax: means of the gradient and of its square.
         best: Best point, shape (coefficient, axis).
-        lowest: Its cost [-]; infinite where none was finite.
-        spent: Gradients that it took.
+        lowest_cost: Its cost [-]; infinite where none was finite.
+        gradients: Number of gradients so far.
     """
 
+    x: Coefficients
+    moments: PyTree
     best: Coefficients
-    lowest: float
-    spent: int
+    lowest_cost: float
+    gradients: int
 
 
 class Adam(AbstractMethod):
@@ -75,14 +83,16 @@ class Adam(AbstractMethod):
         *,
         start: FloatRows | None = None,
         on_progress: OnProgress | None = None,
-        on_memory: OnCheckpoint | None = None,
+        on_checkpoint: OnCheckpoint | None = None,
         resume: Arrays | None = None,
     ) -> MethodResult:
         """Return the best command of all steps, from `start`.
 
-        `on_memory` is called after every step with all that is needed to go on from
-        there, `resume` is what it was called with.
+        `on_checkpoint` is called after every step with the state of the descent,
+        `resume` is the one from which to go on.
         """
+        import optax
+
         fit = offset_residual(
             problem,
             knot_spacing=self.knot_spacing,
@@ -97,72 +107,60 @@ class Adam(AbstractMethod):
             bound = float(problem.max_offset)
             first = project(spline, away, bound, limits=self.limits) / bound
             x = jnp.asarray(first, x.dtype)
-        descent = self._search(
-            x, args, on_progress=on_progress, on_memory=on_memory, resume=resume
-        )
-        best, is_finite = descent.best, bool(np.isfinite(descent.lowest))
+        optimiser = optax.adam(optax.cosine_decay_schedule(self.step_size, self.steps))
+        state = _AdamState(x, optimiser.init(x), x, np.inf, 0)
+        if resume is not None:
+            state = unpack(resume, state)
+        while state.gradients < self.steps:
+            state, is_finite = self._stepped(state, args, optimiser)
+            if not is_finite:
+                break
+            if on_checkpoint is not None:
+                on_checkpoint(pack(state))
+            # In the unit of the residuals, 0.1 mm; the roughness makes it a bound.
+            error = 1e-4 * float(np.sqrt(2 * state.lowest_cost))
+            message = f"Adam step {state.gradients}"
+            if on_progress is not None and on_progress(message, error):
+                break
+        is_found = bool(np.isfinite(state.lowest_cost))
         return corrected(
             problem,
-            fit.command(best, args),
-            linearisations=descent.spent,
+            fit.command(state.best, args),
+            linearisations=state.gradients,
             detail={
                 "knot_spacing": spline.actual_spacing,
                 "unknowns": float(x.size),
-                "bound_count": float(jnp.sum(jnp.abs(best) >= 1)),
+                "bound_count": float(jnp.sum(jnp.abs(state.best) >= 1)),
             },
-            result=RESULTS.successful if is_finite else RESULTS.non_finite,
+            result=RESULTS.successful if is_found else RESULTS.non_finite,
         )
 
-    def _search(
+    def _stepped(
         self,
-        x: Coefficients,
+        state: _AdamState,
         args: ContourResidual,
-        *,
-        on_progress: OnProgress | None,
-        on_memory: OnCheckpoint | None,
-        resume: Arrays | None,
-    ) -> _Descent:
-        """Take the steps."""
+        optimiser: "optax.GradientTransformation",
+    ) -> tuple[_AdamState, bool]:
+        """State after one step, and False if its cost was not finite."""
         import optax
 
-        rate = optax.cosine_decay_schedule(self.step_size, self.steps)
-        optimiser = optax.adam(rate)
-        best, lowest, spent = x, np.inf, 0
-        state = optimiser.init(x)
-        if resume is not None:
-            x, best = jnp.asarray(resume["x"]), jnp.asarray(resume["best"])
-            lowest, spent = float(resume["lowest"]), int(resume["spent"])
-            state = unpack_tree(below("state", resume), state)
-        while spent < self.steps:
-            cost, gradient = _slope(x, args)
-            spent += 1
-            if not np.isfinite(float(cost)):
-                break
-            if float(cost) < lowest:
-                best, lowest = x, float(cost)
-            # Inside, optax multiplies its floats by the integer count of steps.
-            with jax.numpy_dtype_promotion("standard"):
-                update, state = optimiser.update(gradient, state)
-            x = jnp.clip(optax.apply_updates(x, update), -1, 1)  # pyright: ignore[reportArgumentType]
-            x = self._within(x, args)
-            if on_memory is not None:
-                kept = {"x": x, "best": best, "lowest": lowest, "spent": spent}
-                arrays = {name: np.asarray(value) for name, value in kept.items()}
-                on_memory({**arrays, **under("state", pack_tree(state))})
-            # In the unit of the residuals, 0.1 mm; the roughness makes it a bound.
-            error = 1e-4 * float(np.sqrt(2 * lowest))
-            if on_progress is not None and on_progress(f"Adam step {spent}", error):
-                break
-        return _Descent(best, lowest, spent)
-
-    def _within(self, x: Coefficients, args: ContourResidual) -> Coefficients:
-        """Return the point within the limits whose offsets are nearest."""
+        x, gradients = state.x, state.gradients + 1
+        cost, gradient = _slope(x, args)
+        if not np.isfinite(float(cost)):
+            return dataclasses.replace(state, gradients=gradients), False
+        best, lowest_cost = state.best, state.lowest_cost
+        if float(cost) < lowest_cost:
+            best, lowest_cost = x, float(cost)
+        # Inside, optax multiplies its floats by the integer count of steps.
+        with jax.numpy_dtype_promotion("standard"):
+            update, moments = optimiser.update(gradient, state.moments)
+        x = jnp.clip(optax.apply_updates(x, update), -1, 1)  # pyright: ignore[reportArgumentType]
         bound = float(args.problem.max_offset)
-        if feasible_share(np.asarray(x, np.float64) * bound, self.limits) >= 1:
-            return x
-        offset = np.asarray(args.spline.offsets(x * bound))
-        held = project(args.spline, offset, bound, limits=self.limits)  # pyright: ignore[reportArgumentType]
-        return jnp.asarray(held / bound, x.dtype)
+        if feasible_share(np.asarray(x, np.float64) * bound, self.limits) < 1:
+            offset = np.asarray(args.spline.offsets(x * bound))
+            held = project(args.spline, offset, bound, limits=self.limits)  # pyright: ignore[reportArgumentType]
+            x = jnp.asarray(held / bound, x.dtype)
+        return _AdamState(x, moments, best, lowest_cost, gradients), True
 
 
 _slope = eqx.filter_jit(jax.value_and_grad(OffsetResidual.cost))

@@ -14,7 +14,7 @@ def delayed(
     *,
     nominal: FloatRows | None = None,
 ) -> Float[Array, "step axis"]:
-    """Return what is commanded if it comes late; before that, the first row stands.
+    """Command that comes late, shape (step, axis); before it, the first row stands.
 
     Between two rows a command moves linearly, as the simulation takes it.
 

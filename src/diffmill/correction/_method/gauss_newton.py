@@ -1,11 +1,10 @@
 """Correction by least squares on the contour error, with exact derivatives."""
 
-from collections.abc import Callable
+import dataclasses
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
 
 from ..._job import CorrectionSettings
 from ..._result import RESULTS
@@ -18,8 +17,21 @@ from .._spline.command_limits import LinearLimits
 from .._spline.projection import project
 from .._spline.spline_offsets import SplineOffsets
 from .._surface.surface_limits import SurfaceBounds, refusal
+from .checkpoint import Arrays, OnCheckpoint, pack, unpack
 from .ensemble import Ensemble
-from .offset_fit import UNIT, ContourResidual, OffsetFit, fit_offsets, offset_fit
+from .offset_fit import (
+    UNIT,
+    ContourResidual,
+    FitValue,
+    OffsetFit,
+    fit_offsets,
+    offset_fit,
+)
+
+# Stands for a state of any shapes, which a checkpoint fills in.
+_ANY_STATE = LeastSquaresState(
+    np.zeros(0), FitValue(np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0))), 0.0
+)
 
 
 class GaussNewton(AbstractMethod):
@@ -67,13 +79,13 @@ class GaussNewton(AbstractMethod):
         *,
         start: FloatRows | None = None,
         on_progress: OnProgress | None = None,
-        on_state: Callable[[LeastSquaresState], object] | None = None,
-        resume: LeastSquaresState | None = None,
+        on_checkpoint: OnCheckpoint | None = None,
+        resume: Arrays | None = None,
     ) -> MethodResult:
         """Return the best command within knots and bounds, from `start`.
 
-        `on_state` is called after every step with all that is needed to go on from
-        there, `resume` is what it was called with.
+        `on_checkpoint` is called after every step with the state of the search,
+        `resume` is the one from which to go on.
 
         Raises:
             InfeasibleLimit: The nominal command breaks a limit, or no correction keeps
@@ -101,31 +113,42 @@ class GaussNewton(AbstractMethod):
         fit = offset_fit(
             args, plants, weights, limits, is_worst_case=self.is_worst_case
         )
-        found = fit_offsets(
+
+        def report(state: LeastSquaresState) -> bool:
+            if on_checkpoint is not None:
+                on_checkpoint(pack(_without_motion(state)))
+            if on_progress is None or not state.history:
+                return False
+            message = f"Gauss-Newton step {len(state.history)}"
+            if self.bounds is not None:
+                message += ", what is out of bounds counted in"
+            # The roughness makes the error an upper bound.
+            error = UNIT * float(np.sqrt(2 * state.history[-1].cost))
+            return bool(on_progress(message, error))
+
+        last = fit_offsets(
             fit,
             first,
             self.solver,
             lower=-bound,
             upper=bound,
-            state=resume,
-            callback=_step_callback(on_progress, on_state, self.bounds is not None),
+            state=None if resume is None else unpack(resume, _ANY_STATE),
+            callback=report,
         )
-        if found is None:
+        if last is None:
             offset, result = spline.offsets(fit.coefficients(first)), RESULTS.non_finite
             return corrected(problem, jnp.asarray(nominal) + offset, result=result)
-        x = fit.coefficients(found.x)
         if self.bounds is not None:
-            check_bounds(self.bounds, fit, found, bound)
-        is_settled = found.has_converged and fit.is_within(found.value)
+            check_bounds(self.bounds, fit, last, bound)
+        is_settled = last.has_converged and fit.is_within(last.value)
         return corrected(
             problem,
-            fit.command(found.x),
-            motion=found.value.motion if self.ensemble is None else None,
-            forward_runs=found.evaluations * len(plants),
-            linearisations=found.models * len(plants),
-            history=found.history,
-            detail=self._detail(spline, np.asarray(x), bound)
-            | _over_draws(found.value.errors),
+            fit.command(last.x),
+            motion=last.value.motion if self.ensemble is None else None,
+            forward_runs=last.evaluations * len(plants),
+            linearisations=last.models * len(plants),
+            history=last.history,
+            detail=self._detail(fit, last, spline),
             result=RESULTS.successful if is_settled else RESULTS.not_converged,
         )
 
@@ -159,28 +182,29 @@ class GaussNewton(AbstractMethod):
         )
 
     def _detail(
-        self, spline: SplineOffsets, x: np.ndarray, bound: float
+        self, fit: OffsetFit, last: LeastSquaresState, spline: SplineOffsets
     ) -> dict[str, float]:
-        """Return what the report says of the method."""
-        return {
+        """Settings and figures of a solution, for the report."""
+        x = np.abs(np.asarray(fit.coefficients(last.x)))
+        detail = {
             "knot_spacing": spline.actual_spacing,
             "unknowns": float(x.size),
-            "bound_count": float(np.sum(np.abs(x) >= bound)),
+            "bound_count": float(np.sum(x >= float(fit.args.problem.max_offset))),
             "smoothness": self.smoothness,
             "lag_weight": self.lag_weight,
         }
+        if len(fit.plants) > 1:
+            rms = UNIT * np.sqrt(np.sum(last.value.errors**2, axis=1))
+            detail["draws"] = float(len(fit.plants))
+            detail["draw_rms_least"] = float(rms.min())
+            detail["draw_rms_largest"] = float(rms.max())
+        return detail
 
 
-def _over_draws(errors: Float[np.ndarray, "draw error"]) -> dict[str, float]:
-    """Return how many draws there are, and the least and largest error of one [m]."""
-    if len(errors) < 2:
-        return {}
-    rms = UNIT * np.sqrt(np.sum(errors**2, axis=1))
-    return {
-        "draws": float(len(errors)),
-        "draw_rms_least": float(rms.min()),
-        "draw_rms_largest": float(rms.max()),
-    }
+def _without_motion(state: LeastSquaresState) -> LeastSquaresState:
+    """State without what a run of its point gives again."""
+    value = FitValue(state.value.errors, state.value.rough, state.value.outputs)
+    return dataclasses.replace(state, value=value)
 
 
 def check_bounds(
@@ -207,24 +231,3 @@ def check_bounds(
     x = np.asarray(fit.coefficients(found.x), np.float64)
     errors = UNIT * found.value.outputs.reshape(-1)
     raise refusal(bounds, errors, x, max_offset, fit.limits)
-
-
-def _step_callback(
-    on_progress: OnProgress | None,
-    on_state: Callable[[LeastSquaresState], object] | None,
-    has_bounds: bool,
-) -> Callable[[LeastSquaresState], bool]:
-    """Return what tells of a step; the roughness makes the error an upper bound."""
-
-    def tell(state: LeastSquaresState) -> bool:
-        if on_state is not None:
-            on_state(state)
-        if on_progress is None or not state.history:
-            return False
-        step = state.history[-1]
-        message = f"Gauss-Newton step {len(state.history)}"
-        if has_bounds:
-            message += ", what is out of bounds counted in"
-        return bool(on_progress(message, UNIT * float(np.sqrt(2 * step.cost))))
-
-    return tell

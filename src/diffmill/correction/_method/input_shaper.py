@@ -13,7 +13,6 @@ Journal of Dynamic Systems, Measurement, and Control 112 (1990).
 """
 
 import math
-from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -32,7 +31,7 @@ def shaped(
     frequency: RealScalarLike,
     damping_ratio: RealScalarLike,
 ) -> Float[np.ndarray, "step 3"]:
-    """Return a path that leaves a mode at rest, without a delay in the mean.
+    """Path that leaves a mode at rest, without a delay in the mean [m], (step, 3).
 
     Args:
         positions: The path [m], shape (step, 3); at rest before and after it.
@@ -60,7 +59,7 @@ def shaped(
 
 
 def shaped_program(job: Job, desired: Float[Array, "step 3"]) -> Float[Array, "step 3"]:
-    """Return the program of a job shaped for the slowest mode of its arm.
+    """Program of a job shaped for the slowest mode of its arm [m], shape (step, 3).
 
     Args:
         job: The job; of a robot its pose in the middle of the path counts.
@@ -71,31 +70,20 @@ def shaped_program(job: Job, desired: Float[Array, "step 3"]) -> Float[Array, "s
 
     **Differentiability**: none, a host function.
     """
-    modes = _damped_modes(job, desired)
-    if modes.frequencies.size == 0:
+    if job.modes is not None:
+        ratios = np.asarray(job.modes.damping_ratios)
+        frequencies = np.asarray(job.modes.frequencies) * np.sqrt(1 - ratios**2)
+    else:
+        joints, _ = JobKinematics(job).joints(desired)
+        modes = damped_modes(job.robot, joints[joints.shape[0] // 2])  # pyright: ignore[reportArgumentType]
+        ratios, frequencies = modes.damping_ratios, modes.frequencies
+    if frequencies.size == 0:
         return desired
-    slowest = int(np.argmin(modes.frequencies))
+    slowest = int(np.argmin(frequencies))
     path = shaped(
         np.asarray(desired),
         float(job.tooth_period),
-        frequency=modes.frequencies[slowest],
-        damping_ratio=modes.damping_ratios[slowest],
+        frequency=frequencies[slowest],
+        damping_ratio=ratios[slowest],
     )
     return jnp.asarray(path, desired.dtype)
-
-
-class _DampedModes(NamedTuple):
-    """Frequencies at which a machine rings [Hz], and damping ratios [-], (mode,)."""
-
-    frequencies: Float[np.ndarray, " mode"]
-    damping_ratios: Float[np.ndarray, " mode"]
-
-
-def _damped_modes(job: Job, desired: Float[Array, "step 3"]) -> _DampedModes:
-    if job.modes is not None:
-        ratios = np.asarray(job.modes.damping_ratios)
-        undamped = np.asarray(job.modes.frequencies)
-        return _DampedModes(undamped * np.sqrt(1 - ratios**2), ratios)
-    joints, _ = JobKinematics(job).joints(desired)
-    modes = damped_modes(job.robot, joints[joints.shape[0] // 2])  # pyright: ignore[reportArgumentType]
-    return _DampedModes(modes.frequencies, modes.damping_ratios)

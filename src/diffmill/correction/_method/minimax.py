@@ -9,7 +9,7 @@ models are made once a step.
 """
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple, TypeAlias
+from typing import TypeAlias
 
 import equinox as eqx
 import numpy as np
@@ -26,7 +26,7 @@ Unknowns: TypeAlias = Float[np.ndarray, " unknown"]
 Member: TypeAlias = Float[np.ndarray, " member"]
 
 
-class CostModel(NamedTuple):
+class CostModel(eqx.Module):
     """Quadratic model of one cost around a point.
 
     Attributes:
@@ -45,12 +45,12 @@ class CostModel(NamedTuple):
         residual: Float[np.ndarray, " residual"],
         slopes: Float[np.ndarray, "residual unknown"],
     ) -> "CostModel":
-        """Return the model of half the square of a residual, by Gauss and Newton."""
+        """Model of half the square of a residual, by Gauss and Newton."""
         value = 0.5 * float(residual @ residual)
         return cls(value, slopes.T @ residual, slopes.T @ slopes)
 
     def plus(self, weight: float, other: "CostModel") -> "CostModel":
-        """Return the model of this cost plus a weight times another."""
+        """Model of this cost plus a weight times another."""
         return CostModel(
             self.value + weight * other.value,
             self.gradient + weight * other.gradient,
@@ -58,7 +58,7 @@ class CostModel(NamedTuple):
         )
 
     def after(self, p: Unknowns) -> float:
-        """Return the cost after a step; of a sum of squares it is never negative."""
+        """Cost after a step; of a sum of squares it is never negative."""
         change = self.gradient @ p + 0.5 * p @ self.curvature @ p
         return max(float(self.value + change), 0.0)
 
@@ -84,7 +84,14 @@ class MinimaxModel(QuadraticModel):
         shared: CostModel,
         rows: Sequence[LinearRows],
     ) -> "MinimaxModel":
-        """Return the model; arguments as of `QuadraticModel` and of this class."""
+        """Model of the largest cost around a point.
+
+        Args:
+            cost: Returns the cost of the value at a point.
+            members: Models of the members' costs.
+            shared: Model of the cost that is added to the largest.
+            rows: Constraints of the step.
+        """
         mean = _weighted(_equal(members), members, shared)
         return cls(
             cost,
@@ -96,28 +103,36 @@ class MinimaxModel(QuadraticModel):
         )
 
     def decrease(self, p: Unknowns) -> float:
-        """Return by how much a step lowers the largest cost in the model."""
+        """Decrease of the largest cost by a step, as the model foresees it."""
         return self._total(np.zeros_like(p)) - self._total(p)
 
     def damped_step(self, damping: float, box: LinearRows) -> Unknowns | None:
-        """Return the step whose largest cost is least; arguments as of the parent."""
-        weights, best, found = _equal(self.members), np.inf, None
+        """Step whose largest cost is least, in the damped metric of weighted means.
+
+        Args:
+            damping: Share of the curvature's diagonal that is added to it.
+            box: Bounds of the step.
+        """
+        weights, least, step = _equal(self.members), np.inf, None
         for _ in range(_ROUNDS):
             mean = _weighted(weights, self.members, self.shared)
             model = QuadraticModel(self.cost, mean.gradient, mean.curvature, self.rows)
             p = model.damped_step(damping, box)
             if p is None:
                 break
-            if (total := self._total(p)) < best:
-                best, found = total, p
+            if (total := self._total(p)) < least:
+                least, step = total, p
             costs = np.array([member.after(p) for member in self.members])
             if costs.max() - weights @ costs <= _GAP * total:
                 break
-            weights = _raised(weights, costs)
-        return found
+            # Members of larger error get larger weights.
+            raised = weights * np.sqrt(costs)
+            if raised.sum() > 0:
+                weights = raised / float(raised.sum())
+        return step
 
     def _total(self, p: Unknowns) -> float:
-        """Return the cost after a step, with the springs of soft rows."""
+        """Cost after a step, with the springs of soft rows."""
         largest = max(member.after(p) for member in self.members)
         rows = sum(rows.energy(p) for rows in self.rows)
         return largest + self.shared.after(p) + rows
@@ -126,19 +141,14 @@ class MinimaxModel(QuadraticModel):
 def _weighted(
     weights: Member, members: Sequence[CostModel], shared: CostModel
 ) -> CostModel:
-    """Return the model of a weighted mean of costs, and of what they share."""
-    total = shared
-    for weight, member in zip(weights, members, strict=True):
-        total = total.plus(float(weight), member)
-    return total
+    """Model of a weighted mean of costs, plus the cost that they share."""
+    value, gradient, curvature = shared.value, shared.gradient, shared.curvature
+    for weight, member in zip(weights.tolist(), members, strict=True):
+        value = value + weight * member.value
+        gradient = gradient + weight * member.gradient
+        curvature = curvature + weight * member.curvature
+    return CostModel(value, gradient, curvature)
 
 
 def _equal(members: Sequence[CostModel]) -> Member:
     return np.full(len(members), 1 / len(members))
-
-
-def _raised(weights: Member, costs: Member) -> Member:
-    """Return the weights of the next round, larger for members of larger error."""
-    raised = weights * np.sqrt(costs)
-    total = float(raised.sum())
-    return raised / total if total > 0 else weights

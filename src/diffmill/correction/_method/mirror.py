@@ -2,8 +2,8 @@
 
 import dataclasses
 import operator
+from collections.abc import Iterator
 from itertools import product
-from typing import NamedTuple
 
 import equinox as eqx
 import numpy as np
@@ -93,24 +93,21 @@ class IteratedMirror(AbstractMethod):
         if motion is None:
             motion = problem.run(command)
         error = contour_statistics(problem, problem.contour(motion)).rms
-        error = error if np.isfinite(error) else np.inf
-        zero = _Iterate(command, error, 0, 0.0, 0.0)
-        first = _deviation(problem, motion)
-        best, runs = zero, 1
+        start_error = error if np.isfinite(error) else np.inf
+        best, runs = _Iterate(command, start_error, 0, 0.0, 0.0), 1
+        deviation = _deviation(problem, motion)
         # A filter needs two rows per period.
         known = [c for c in self.cutoffs if c < 0.5 / problem.time_step]
         # The highest cut-offs first: where they diverge they end soon, and if they do
         # not, they leave an error that the lower ones will not get below.
-        grid = [
-            _Tuning(*each)
-            for each in product(sorted(known, reverse=True), self.relaxations)
-        ]
+        grid = list(product(sorted(known, reverse=True), self.relaxations))
         # One branch after the other: two runs of one compiled program at the same time
         # can block each other in XLA's pool of threads.
-        for done, tuning in enumerate(grid, start=1):
-            branch = _branch(self, problem, zero, first, tuning, best.error)
-            runs += branch.runs
-            best = min(best, branch.best, key=_RANK)
+        for done, (cutoff, relaxation) in enumerate(grid, start=1):
+            first = _Iterate(command, start_error, 0, cutoff, relaxation)
+            branch = list(_branch(self, problem, first, deviation, best.error))
+            runs += len(branch)
+            best = min(best, *branch, key=_RANK)
             if on_progress is not None:
                 message = f"mirror: {done} of {len(grid)} branches, {runs} runs"
                 if on_progress(message, best.error):
@@ -148,8 +145,8 @@ class SampledMirror(AbstractMethod):
         """Return the best iterate of one branch; tip commands only."""
         rows = self.sample.nominal.shape[0]
         part = None if start is None else start[:rows]
-        found = self.mirror(self.sample, start=part, on_progress=on_progress)
-        cutoff, relaxation = found.detail["cutoff"], found.detail["relaxation"]
+        sampled = self.mirror(self.sample, start=part, on_progress=on_progress)
+        cutoff, relaxation = sampled.detail["cutoff"], sampled.detail["relaxation"]
         if cutoff == 0:
             cutoff = min(self.mirror.cutoffs)
             relaxation = min(self.mirror.relaxations)
@@ -157,22 +154,20 @@ class SampledMirror(AbstractMethod):
             self.mirror, cutoffs=(cutoff,), relaxations=(relaxation,)
         )
         result = chosen(problem, start=start, on_progress=on_progress)
-        share = rows / problem.nominal.shape[0]
-        return dataclasses.replace(
-            result,
-            forward_runs=result.forward_runs + int(np.ceil(share * found.forward_runs)),
-        )
-
-
-class _Tuning(NamedTuple):
-    """Cut-off [Hz] and relaxation of one branch."""
-
-    cutoff: float
-    relaxation: float
+        runs = int(np.ceil(rows / problem.nominal.shape[0] * sampled.forward_runs))
+        return dataclasses.replace(result, forward_runs=result.forward_runs + runs)
 
 
 class _Iterate(eqx.Module):
-    """A command with the error it leaves and where in the grid it was found."""
+    """A command of a branch of the grid.
+
+    Attributes:
+        command: The command, shape (step, 3).
+        error: Root mean square contour error that it leaves [m].
+        iterate: Its number, 0 for the start.
+        cutoff: Cut-off frequency of the branch [Hz].
+        relaxation: Relaxation of the branch [-].
+    """
 
     command: np.ndarray
     error: float
@@ -181,45 +176,43 @@ class _Iterate(eqx.Module):
     relaxation: float
 
 
-class _Branch(NamedTuple):
-    """Best iterate of one branch, and the runs of the plant that it took."""
-
-    best: _Iterate
-    runs: int
-
-
 def _branch(
     method: IteratedMirror,
     problem: Problem,
-    zero: _Iterate,
+    first: _Iterate,
     deviation: Float[np.ndarray, "step 3"],
-    tuning: _Tuning,
-    to_beat: float,
-) -> _Branch:
-    """Iterate one branch."""
-    cutoff, relaxation = tuning
-    command, best, last = zero.command, zero, zero.error
-    grown = settled = runs = 0
+    least_error: float,
+) -> Iterator[_Iterate]:
+    """Iterates of one branch after the first; one that is not finite ends it.
+
+    Args:
+        method: The grid.
+        problem: The problem.
+        first: Where the branch begins, with its cut-off and relaxation.
+        deviation: Deviation that the first command leaves [m], shape (step, 3).
+        least_error: Least error of the branches before [m].
+    """
+    cutoff, relaxation = first.cutoff, first.relaxation
+    command, last = first.command, first.error
+    grown = settled = 0
     for i in range(1, method.iterations + 1):
         step = lowpass(deviation, 1 / problem.time_step, cutoff, order=method.order)
         command = command - relaxation * step
         command = clip_offset(problem.nominal, command, problem.max_offset)
         motion = problem.run(command)
-        runs += 1
         deviation = _deviation(problem, motion)
         error = contour_statistics(problem, problem.contour(motion)).rms
         if not np.isfinite(error) or not np.all(np.isfinite(deviation)):
+            yield _Iterate(command, np.inf, i, cutoff, relaxation)
             break
-        if error < best.error:
-            best = _Iterate(command, error, i, cutoff, relaxation)
+        yield _Iterate(command, error, i, cutoff, relaxation)
         grown = grown + 1 if error > last else 0
         settled = settled + 1 if abs(error - last) < _SETTLED * last else 0
         # At its present pace, is the branch still below the best at its last iterate?
         pace, last = error / last, error
-        is_behind = i > 1 and error * pace ** (method.iterations - i) > to_beat
+        is_behind = i > 1 and error * pace ** (method.iterations - i) > least_error
         if grown == 2 or settled == 2 or is_behind:
             break
-    return _Branch(best, runs)
 
 
 def _start(problem: Problem, start: FloatRows | None) -> np.ndarray:

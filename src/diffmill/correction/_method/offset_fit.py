@@ -6,8 +6,8 @@ then a row of the one quadratic program of a step.
 """
 
 import dataclasses
+import functools
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -41,7 +41,7 @@ _BLOCK = 96
 # Steps that may be taken besides to bring outputs within their bounds, and how little
 # of the cost one of them may gain. What cannot be held gains nothing long before.
 _RETURN_STEPS = 40
-_RETURN_SHARE = 1e-3
+_RETURN_COST_RTOL = 1e-3
 
 
 class ContourResidual(eqx.Module):
@@ -66,7 +66,7 @@ class ContourResidual(eqx.Module):
     def __call__(
         self, coefficients: Float[Array, "coefficient axis"]
     ) -> Float[Array, " residual"]:
-        """Return the weighted errors and the roughness as one vector.
+        """Weighted errors and the roughness as one vector [-], shape (residual,).
 
         With `PathObjective` its square is (rms contour error / 0.1 mm)^2 over the rows
         that cut, where one in the air counts a hundredth, plus (lag_weight x rms
@@ -83,17 +83,18 @@ class ContourResidual(eqx.Module):
         changes.
         """
         motion = self.problem.plant(command_of(coefficients, self))
-        found = errors_of(motion, coefficients, self)
-        return jnp.concatenate([found.error, found.rough])
+        residual = errors_of(motion, coefficients, self)
+        return jnp.concatenate([residual.error, residual.rough])
 
 
 class Errors(eqx.Module):
-    """Residual of one motion, in units of 0.1 mm.
+    """Residual of one motion in units of 0.1 mm, or its derivatives.
 
     Attributes:
-        error: Errors that become small, shape (error,).
-        rough: Weighted second differences of the coefficients, shape (rough,).
-        output: Errors of the surface that have bounds, shape (output,).
+        error: Errors that become small, shape (*direction, error).
+        rough: Weighted second differences of the coefficients, shape (*direction,
+            rough).
+        output: Errors of the surface that have bounds, shape (*direction, output).
     """
 
     error: Float[Array, "*direction error"]
@@ -106,7 +107,7 @@ def errors_of(
     coefficients: Float[Array, "coefficient axis"],
     args: ContourResidual,
 ) -> Errors:
-    """Return the residual of a motion that is known, see `ContourResidual`.
+    """Residual of a motion, see `ContourResidual`.
 
     **Differentiability**: kinks where the nearest segment changes.
     """
@@ -143,32 +144,20 @@ class FitValue(eqx.Module):
     linear: LinearMotion | None = None
 
 
-class _Jacobian(NamedTuple):
-    """Derivatives of the residual of one member by the unknowns.
+class _MemberModel(eqx.Module):
+    """Linear model of the residual of one member, on the host.
 
     Attributes:
-        value: The errors of which the model is made, shape (error,).
-        error: Of these errors, shape (error, unknown).
-        rough: Of the roughness, shape (rough, unknown).
-        output: Of the outputs that have bounds, shape (output, unknown).
+        errors: The errors, shape (error,).
+        slopes: Derivative of the errors, shape (error, unknown).
+        rough_slopes: Of the roughness, shape (rough, unknown).
+        output_slopes: Of the outputs that have bounds, shape (output, unknown).
     """
 
-    value: np.ndarray
-    error: np.ndarray
-    rough: np.ndarray
-    output: np.ndarray
-
-
-class _Columns(NamedTuple):
-    """Errors at a point, and slopes of the residual there in some of the unknowns.
-
-    Attributes:
-        value: The errors, shape (error,).
-        slopes: A row for each of the unknowns.
-    """
-
-    value: Float[Array, " error"]
-    slopes: Errors
+    errors: Float[np.ndarray, " error"]
+    slopes: Float[np.ndarray, "error unknown"]
+    rough_slopes: Float[np.ndarray, "rough unknown"]
+    output_slopes: Float[np.ndarray, "output unknown"]
 
 
 class OffsetFit(AbstractProblem):
@@ -191,20 +180,20 @@ class OffsetFit(AbstractProblem):
     is_worst_case: bool = eqx.field(static=True, default=False)
 
     def coefficients(self, x: Unknowns) -> Float[Array, "coefficient axis"]:
-        """Return the unknowns as coefficients, shape (coefficient, axis)."""
+        """Unknowns as coefficients, shape (coefficient, axis)."""
         nominal = np.asarray(self.args.problem.nominal)
         return jnp.asarray(x.reshape(-1, nominal.shape[1]), nominal.dtype)
 
     def command(self, x: Unknowns) -> Float[Array, "step axis"]:
-        """Return the whole command of the unknowns, shape (step, axis)."""
+        """Whole command of the unknowns, shape (step, axis)."""
         return _host_command(self.coefficients(x), self.args)
 
     def is_within(self, value: FitValue) -> bool:
-        """Tell whether all outputs are within their bounds."""
+        """True if all outputs are within their bounds."""
         return self.constraints.is_within(value.outputs.reshape(-1))
 
     def evaluate_for_model(self, x: Unknowns) -> FitValue | None:
-        """Return the residual at a point whose model is likely to be wanted next.
+        """Residual at a point whose model is likely to be wanted next.
 
         The linear system that the model needs has the motion too, so that none is run
         for it. Of several members only one system is held at a time.
@@ -215,15 +204,15 @@ class OffsetFit(AbstractProblem):
         return self._value(x, [linear.motion], linear=linear)
 
     def has_model(self, value: FitValue) -> bool:
-        """Tell whether a value came with the linear system of its model."""
+        """True if a value came with the linear system of its model."""
         return value.linear is not None
 
     def without_model(self, value: FitValue) -> FitValue:
-        """Return a value without its linear system."""
+        """Value without its linear system."""
         return dataclasses.replace(value, linear=None)
 
     def evaluate(self, x: Unknowns) -> FitValue | None:
-        """Return the residual at a point; None where it is not finite."""
+        """Residual at a point; None where it is not finite."""
         command = self.command(x)
         motions = [motion_of(plant, command) for plant in self.plants]
         return self._value(x, motions, motion=motions[0] if len(motions) == 1 else None)
@@ -236,16 +225,16 @@ class OffsetFit(AbstractProblem):
         motion: Motion | None = None,
         linear: LinearMotion | None = None,
     ) -> FitValue | None:
-        """Return the residual of the members' motions; None if it is not finite."""
+        """Residual of the members' motions; None if it is not finite."""
         at = self.coefficients(x)
         # A motion with its solution would be another program.
         plain = [Motion(one.actual, one.force) for one in motions]
-        found = [_host_errors(one, at, self.args) for one in plain]
+        residuals = [_host_errors(one, at, self.args) for one in plain]
         stack = lambda rows: np.stack([np.asarray(row, np.float64) for row in rows])
         value = FitValue(
-            stack([one.error for one in found]),
-            np.asarray(found[0].rough, np.float64),
-            stack([one.output for one in found]),
+            stack([one.error for one in residuals]),
+            np.asarray(residuals[0].rough, np.float64),
+            stack([one.output for one in residuals]),
             motion,
             linear,
         )
@@ -253,13 +242,13 @@ class OffsetFit(AbstractProblem):
         return value if np.isfinite(square) else None
 
     def _cost(self, value: FitValue) -> float:
-        """Return half the square of the residual, outputs left out."""
+        """Half the square of the residual, outputs left out."""
         squares = np.sum(value.errors**2, axis=1)
         members = squares.max() if self.is_worst_case else self.weights @ squares
         return 0.5 * float(members + value.rough @ value.rough)
 
     def model(self, x: Unknowns, value: FitValue) -> QuadraticModel:
-        """Return the model of half the square of the residual."""
+        """Model of half the square of the residual, by Gauss and Newton."""
         zero = CostModel(0.0, np.zeros(x.size), np.zeros((x.size, x.size)))
         mean, members, slopes, rough = zero, [], [], np.zeros((0, x.size))
         for plant, weight, error in zip(
@@ -268,17 +257,16 @@ class OffsetFit(AbstractProblem):
             linear = value.linear
             if linear is None:
                 linear = linear_motion(plant, self.command(x))
-            J = self._jacobian(linear, x)
-            cost = CostModel.of(J.value, J.error)._replace(
-                value=0.5 * float(error @ error)
-            )
+            member = self._member_model(linear, x)
+            g, H = member.slopes.T @ member.errors, member.slopes.T @ member.slopes
+            cost = CostModel(0.5 * float(error @ error), g, H)
             # The largest is looked for among all; of a mean the sum does.
             if self.is_worst_case:
                 members.append(cost)
             else:
                 mean = mean.plus(float(weight), cost)
-            slopes.append(J.output)
-            rough = J.rough
+            slopes.append(member.output_slopes)
+            rough = member.rough_slopes
         shared = CostModel.of(value.rough, rough)
         point = np.asarray(self.coefficients(x), np.float64)
         rows = [limit.about(point) for limit in self.limits]
@@ -294,7 +282,8 @@ class OffsetFit(AbstractProblem):
         mean = mean.plus(1.0, shared)
         return QuadraticModel(cost_at, mean.gradient, mean.curvature, tuple(rows))
 
-    def _jacobian(self, linear: LinearMotion, x: Unknowns) -> _Jacobian:
+    def _member_model(self, linear: LinearMotion, x: Unknowns) -> _MemberModel:
+        """Linear model of the residual of a member in all unknowns, block by block."""
         at = self.coefficients(x)
         # Its solution would make another program.
         motion = Motion(linear.motion.actual, linear.motion.force)
@@ -302,15 +291,18 @@ class OffsetFit(AbstractProblem):
             self.args.problem, motion, self.args.lag_weight
         )
         args = dataclasses.replace(self.args, objective=objective)
-        found = [
-            _columns(linear, at, args, jnp.asarray(block)) for block in _blocks(x.size)
-        ]
-        blocks = [columns.slopes for columns in found]
+        # Blocks of one length, the last one filled up.
+        size = min(_BLOCK, x.size)
+        errors, blocks = None, []
+        for first in range(0, x.size, size):
+            block = np.minimum(np.arange(first, first + size), x.size - 1)
+            errors, slopes = _slopes(linear, at, args, jnp.asarray(block))
+            blocks.append(slopes)
         joined = lambda rows: np.concatenate([np.asarray(row) for row in rows])[
             : x.size
         ].T.astype(np.float64)
-        return _Jacobian(
-            np.asarray(found[0].value, np.float64),
+        return _MemberModel(
+            np.asarray(errors, np.float64),
             joined([block.error for block in blocks]),
             joined([block.rough for block in blocks]),
             joined([block.output for block in blocks]),
@@ -325,7 +317,7 @@ def offset_fit(
     *,
     is_worst_case: bool = False,
 ) -> OffsetFit:
-    """Return the problem of some plants, with the bounds of the surface of `args`.
+    """Problem of some plants, with the bounds of the surface of `args`.
 
     Args:
         args: What the residual needs; its own plant is left out.
@@ -361,7 +353,7 @@ def fit_offsets(
     state: LeastSquaresState | None = None,
     callback: Callable[[LeastSquaresState], bool | None] | None = None,
 ) -> LeastSquaresState | None:
-    """Return the offsets whose errors are least.
+    """State of the search for the offsets whose errors are least, at its end.
 
     Where outputs begin out of their bounds they are brought back first, in up to 40
     steps that do not count as those of the solver.
@@ -373,7 +365,7 @@ def fit_offsets(
         lower: Least values of the unknowns.
         upper: Largest values.
         state: An earlier state to go on from.
-        callback: As of `optimise.least_squares`.
+        callback: Called with the state after each step; True ends the search.
 
     Returns:
         The last state; None where the start has no finite residual.
@@ -389,50 +381,40 @@ def fit_offsets(
         del value
     is_stopped = False
 
-    def tell(found: LeastSquaresState) -> bool:
+    def report_return(latest: LeastSquaresState) -> bool:
         nonlocal state, is_stopped
         # One linear system is held at a time: by what goes on.
-        state = _without_model(fit, found)
-        if fit.is_within(found.value):
+        state = _without_model(fit, latest)
+        if fit.is_within(latest.value):
             state = dataclasses.replace(
-                found, steps=0, has_converged=False, damping=solver.damping
+                latest, steps=0, has_converged=False, damping=solver.damping
             )
         is_stopped = callback is not None and bool(callback(state))
-        return is_stopped or fit.is_within(found.value)
+        return is_stopped or fit.is_within(latest.value)
 
+    search = functools.partial(least_squares, fit, lower=lower, upper=upper)
     if not fit.is_within(state.value):
         back = dataclasses.replace(
-            solver, max_steps=_RETURN_STEPS, cost_rtol=_RETURN_SHARE
+            solver, max_steps=_RETURN_STEPS, cost_rtol=_RETURN_COST_RTOL
         )
         x, begun, state = state.x, [state], _without_model(fit, state)
-        least_squares(
-            fit, x, back, lower=lower, upper=upper, state=begun.pop(), callback=tell
-        )
+        search(x, back, state=begun.pop(), callback=report_return)
         if is_stopped or not fit.is_within(state.value):
             return state
     x, begun, state = state.x, [state], None
-    found = least_squares(
-        fit, x, solver, lower=lower, upper=upper, state=begun.pop(), callback=callback
-    )
-    return _without_model(fit, found)
+    last = search(x, solver, state=begun.pop(), callback=callback)
+    return _without_model(fit, last)
 
 
 def _without_model(fit: OffsetFit, state: LeastSquaresState) -> LeastSquaresState:
-    """Return a state without the linear system around its point."""
+    """State without the linear system around its point."""
     return dataclasses.replace(state, value=fit.without_model(state.value))
-
-
-def _blocks(count: int) -> list[Int[np.ndarray, " unknown"]]:
-    """Return the unknowns in blocks of one length, the last one filled up."""
-    size = min(_BLOCK, count)
-    firsts = range(0, count, size)
-    return [np.minimum(np.arange(i, i + size), count - 1) for i in firsts]
 
 
 def command_of(
     coefficients: Float[Array, "coefficient axis"], args: ContourResidual
 ) -> Float[Array, "step axis"]:
-    """Return the whole command that follows from the coefficients of its offset."""
+    """Whole command from the coefficients of its offset, shape (step, axis)."""
     nominal = jnp.asarray(args.problem.nominal, coefficients.dtype)
     return nominal + args.spline.offsets(coefficients)
 
@@ -442,13 +424,13 @@ _host_errors = eqx.filter_jit(errors_of)
 
 
 @CachedJit
-def _columns(
+def _slopes(
     linear: LinearMotion,
     coefficients: Float[Array, "coefficient axis"],
     args: ContourResidual,
     block: Int[Array, " direction"],
-) -> _Columns:
-    """Return the slopes of the residual in some of the unknowns, a row each."""
+) -> tuple[Float[Array, " error"], Errors]:
+    """Errors at a point, and slopes of the residual in some unknowns, a row each."""
     count, axes = coefficients.shape
     dtype = coefficients.dtype
     # The basis is the same for every axis: its columns are offsets of unit vectors.
@@ -459,4 +441,4 @@ def _columns(
     units = along[:, None] * jax.nn.one_hot(column, count, dtype=dtype)[..., None]
     residual = lambda motion, x: errors_of(motion, x, args)
     value, push = jax.linearize(residual, linear.motion, coefficients)
-    return _Columns(value.error, jax.vmap(push)(moves, units))
+    return value.error, jax.vmap(push)(moves, units)

@@ -37,7 +37,7 @@ class OffsetResidual(eqx.Module):
 
     @staticmethod
     def residual(unknowns: Unknowns, args: ContourResidual) -> Float[Array, " error"]:
-        """Return the weighted errors, in units of 0.1 mm, and the roughness.
+        """Weighted errors, in units of 0.1 mm, and the roughness [-].
 
         With the path as the objective, the square is (rms contour error / 0.1 mm)^2
         over the rows that cut, and little terms that keep the command from drifting
@@ -50,7 +50,7 @@ class OffsetResidual(eqx.Module):
 
     @staticmethod
     def cost(unknowns: Unknowns, args: ContourResidual) -> Float[Array, ""]:
-        """Return half the square of the residual.
+        """Half the square of the residual [-], shape ().
 
         **Differentiability**: as `residual`.
         """
@@ -58,12 +58,12 @@ class OffsetResidual(eqx.Module):
 
     @staticmethod
     def command(unknowns: Unknowns, args: ContourResidual) -> Float[Array, "step axis"]:
-        """Return the whole command, shape (step, axis): tips [m] of a job."""
+        """Whole command, shape (step, axis): tips [m] of a job."""
         return command_of(_scaled(unknowns, args), args)
 
     @staticmethod
     def motion(unknowns: Unknowns, args: ContourResidual) -> Motion:
-        """Return what the plant does of the command, for an objective of one's own.
+        """Motion of the plant that follows the command, for an objective of one's own.
 
         **Differentiability**: that of the plant.
         """
@@ -78,7 +78,7 @@ def offset_residual(
     smoothness: RealScalarLike = 1e-2,
     lag_weight: RealScalarLike = 0.03,
 ) -> OffsetResidual:
-    """Return the offsets of a problem as pure functions.
+    """Offsets of a problem as pure functions.
 
     Args:
         problem: The problem.

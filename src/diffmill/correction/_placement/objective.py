@@ -136,7 +136,7 @@ def tip_deflection(
 def across(
     vector: Float[Array, "row 3"], along: Float[Array, "row 3"]
 ) -> Float[Array, "row 3"]:
-    """Return what of vectors is at right angles to directions, all of it for 0."""
+    """Component of vectors at right angles to directions; the vectors for 0."""
     return vector - jnp.sum(vector * along, axis=1, keepdims=True) * along
 
 
@@ -165,7 +165,7 @@ class LoadedPath(eqx.Module):
 
 @eqx.filter_jit
 def whole_path(job: Job, force: Float[Array, "step 3"]) -> LoadedPath:
-    """Return where a job's path takes the arm, and what the force [N] does there."""
+    """Joints of an arm on a job's path, and its deflection by the force [N] there."""
     robot = job.robot
     if robot is None:
         raise ValueError("Argument `job` must have a robot, but its machine is rigid.")

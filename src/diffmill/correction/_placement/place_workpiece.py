@@ -8,7 +8,6 @@ then judged on the whole path.
 
 import dataclasses
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -27,7 +26,7 @@ from ...optimise import (
 )
 from ...process import FrozenStock
 from ...sim import JobKinematics, rigid_cut
-from .._job.correct import NothingToCorrect
+from .._job.correction_problem import NothingToCorrect
 from .._spline.command_limits import InfeasibleLimit
 from .objective import (
     UNKNOWNS,
@@ -47,7 +46,7 @@ _RANGE = 0.98
 # place is as near: for a wrist it is some 4 degrees from straight.
 _LEAST_SINGULAR = 0.05
 # A step that promises less of the square of the errors than this ends the descent.
-_SETTLED = 1e-9
+_COST_RTOL = 1e-9
 # An unknown this near to a bound stands there, as a share of its unit.
 _AT_BOUND = 1e-3
 
@@ -63,7 +62,7 @@ def place_workpiece(
     max_steps: int = 20,
     force: FloatRows3 | None = None,
 ) -> Placement:
-    """Return where in the cell a part is cut with the least predicted deviation.
+    """Place in the cell at which a part is cut with the least predicted deviation.
 
     What becomes small is the rms over the rows that cut of the deviation across the
     path, J K^-1 J^T F with the force of the rigid cut: springs only, and that the chip
@@ -101,7 +100,10 @@ def place_workpiece(
     if force is None:
         force = rigid_cut(job, FrozenStock()).force
     force = jnp.asarray(force, job.simulation.precision)
-    before = _rms_before(job, force)
+    if not np.any(np.asarray(force) != 0):
+        raise NothingToCorrect("The program never cuts, so that any place will do.")
+    # Infinite where the job's own place is refused.
+    before = rms_across(job, force)
     task = _task(job, force, before, lower, upper, rows)
     tried = _search(task, lower, upper, starts)
     found = _descend(task, lower, upper, tried, max_steps)
@@ -166,13 +168,6 @@ def _bounds(
     return pairs[:, 0], pairs[:, 1]
 
 
-def _rms_before(job: Job, force: Float[Array, "step 3"]) -> float:
-    """Return the error at the job's own place [m]; infinite where it is refused."""
-    if not np.any(np.asarray(force) != 0):
-        raise NothingToCorrect("The program never cuts, so that any place will do.")
-    return rms_across(job, force)
-
-
 def _task(
     job: Job,
     force: Float[Array, "step 3"],
@@ -231,11 +226,11 @@ def _widths(
     return np.where(widths > 0, widths, 1.0)
 
 
-class _Tried(NamedTuple):
-    """A place that was tried, and its error.
+class _TriedPlace(eqx.Module):
+    """A place of the search, and its error.
 
     Attributes:
-        error: Sum of the squares of what is left; infinite where it is refused.
+        error: Half the square of its errors; infinite where it is refused.
         place: The unknowns in widths of their bounds, shape (5,).
     """
 
@@ -248,8 +243,8 @@ def _search(
     lower: Float[np.ndarray, " 5"],
     upper: Float[np.ndarray, " 5"],
     starts: int,
-) -> list[_Tried]:
-    """Return places that are spread over the bounds, the job's own first."""
+) -> list[_TriedPlace]:
+    """Places that are spread over the bounds, the job's own first."""
     low, high = lower / _widths(lower, upper), upper / _widths(lower, upper)
     # Unknowns that are fixed take no part in the spreading.
     is_free = high > low
@@ -264,7 +259,7 @@ def _search(
     places = [np.clip(np.zeros(len(low)), low, high)]
     places += [low + (high - low) * ((0.5 + k * steps) % 1.0) for k in range(starts)]
     problem = _Problem(task)
-    return [_Tried(problem.error(place), place) for place in places]
+    return [_TriedPlace(problem.error(place), place) for place in places]
 
 
 class _Problem(AbstractProblem):
@@ -328,26 +323,26 @@ def _descend(
     task: PlacementTask,
     lower: Float[np.ndarray, " 5"],
     upper: Float[np.ndarray, " 5"],
-    tried: list[_Tried],
+    tried: list[_TriedPlace],
     max_steps: int,
 ) -> list[Float[np.ndarray, " 5"]]:
-    """Return the unknowns of the ends of two descents, and of their starts."""
+    """Unknowns of the ends of two descents, and of their starts."""
     widths, problem = _widths(lower, upper), _Problem(task)
     own = tried[0]
     best = min(tried[1:], key=lambda entry: entry.error, default=own)
-    found = []
-    for _, start in [own] if best is own else [own, best]:
-        found.append(start)
+    places = []
+    for start in [own.place] if best is own else [own.place, best.place]:
+        places.append(start)
         if problem.evaluate(start) is not None:
             solution = least_squares(
                 problem,
                 start,
-                LevenbergMarquardt(max_steps=max_steps, cost_rtol=_SETTLED),
+                LevenbergMarquardt(max_steps=max_steps, cost_rtol=_COST_RTOL),
                 lower=lower / widths,
                 upper=upper / widths,
             )
-            found.append(solution.x)
-    return [unit * widths for unit in found]
+            places.append(solution.x)
+    return [unit * widths for unit in places]
 
 
 def _place(job: Job, task: PlacementTask, values: Float[np.ndarray, " 5"]) -> Placement:

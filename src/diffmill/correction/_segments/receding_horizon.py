@@ -39,7 +39,7 @@ from ..._types import FloatRows
 from ...optimise import LeastSquaresStep, LevenbergMarquardt
 from .._core.method import AbstractMethod, MethodResult, OnProgress, corrected
 from .._core.problem import Problem
-from .._method.checkpoint import Arrays, OnCheckpoint
+from .._method.checkpoint import Arrays, OnCheckpoint, pack, unpack
 from .._method.gauss_newton import GaussNewton, check_bounds
 from .._method.offset_fit import ContourResidual, fit_offsets, offset_fit
 from .._spline.command_limits import LinearLimits
@@ -59,10 +59,8 @@ from .receding_horizon_state import (
     HorizonRun,
     advance,
     command_at,
-    pack_run,
     part_of,
     rms_so_far,
-    unpack_run,
 )
 
 
@@ -77,8 +75,6 @@ class RecedingHorizon(AbstractMethod):
         overlap: Rows of its end that the next segment corrects once more.
         sweeps: How often the whole path is gone through, each time from the command
             that the time before has found; a path of one segment, once.
-        on_checkpoint: Called after every segment with all that is needed to go on.
-        resume: What it was called with, to go on from there.
     """
 
     pieces: AbstractPieces
@@ -86,8 +82,6 @@ class RecedingHorizon(AbstractMethod):
     horizon: int = eqx.field(static=True)
     overlap: int = eqx.field(static=True)
     sweeps: int = eqx.field(static=True, default=2)
-    on_checkpoint: OnCheckpoint | None = None
-    resume: Arrays | None = None
 
     def __check_init__(self):
         if not 0 < self.overlap < self.horizon:
@@ -101,7 +95,7 @@ class RecedingHorizon(AbstractMethod):
             )
 
     def segment_count(self, row_count: int) -> int:
-        """Return the number of segments of a path of some rows, in one sweep."""
+        """Number of segments of a path of some rows, in one sweep."""
         return 1 + max(0, -(-(row_count - self.horizon) // self._hop))
 
     @property
@@ -114,11 +108,15 @@ class RecedingHorizon(AbstractMethod):
         *,
         start: FloatRows | None = None,
         on_progress: OnProgress | None = None,
+        on_checkpoint: OnCheckpoint | None = None,
+        resume: Arrays | None = None,
     ) -> MethodResult:
         """Return the best command within knots and bounds, from `start`.
 
         `on_progress` is called after every segment, with the rms contour error of
         what has been run; where it ends the method, the rest stays as in `start`.
+        `on_checkpoint` is called then with the state, `resume` is the one from which
+        to go on.
 
         Raises:
             InfeasibleLimit: The nominal command breaks a limit, or no correction of a
@@ -127,6 +125,8 @@ class RecedingHorizon(AbstractMethod):
         rows = problem.nominal.shape[0]
         spline = SplineOffsets(rows, problem.time_step, self.method.knot_spacing)
         run = self._first(problem, spline, start)
+        if resume is not None:
+            run = unpack(resume, run)
         total, seconds = sum(self._remaining_segments(rows, 0, 0)), []
         steps = [self._solver(rows, k).max_steps for k in range(self._sweeps(rows))]
         while run.row < rows:
@@ -140,9 +140,12 @@ class RecedingHorizon(AbstractMethod):
             counts = self._remaining_segments(rows, run.sweep, run.row)
             left, steps_left = sum(counts), np.dot(counts, steps[run.sweep :])
             if left and run.row >= rows:
-                run = self._again(problem, spline, run)
-            if self.on_checkpoint is not None:
-                self.on_checkpoint(pack_run(run))
+                state = self._begun(problem, spline, run.coefficients)
+                run = HorizonRun(
+                    run.sweep + 1, 0, run.coefficients, state, 0.0, run.history
+                )
+            if on_checkpoint is not None:
+                on_checkpoint(pack(run))
             if on_progress is not None:
                 # The first one compiles, which the others do not.
                 time_left = steps_left * np.mean(seconds[1:] or seconds)
@@ -152,12 +155,12 @@ class RecedingHorizon(AbstractMethod):
         return self._corrected(problem, spline, run)
 
     def _remaining_segments(self, rows: int, sweep: int, row: int) -> list[int]:
-        """Return the segments from a row on, of this sweep and of those after it."""
+        """Numbers of segments from a row on, of this sweep and of those after it."""
         now = self.segment_count(rows - row) if row < rows else 0
         return [now] + [self.segment_count(rows)] * (self._sweeps(rows) - 1 - sweep)
 
     def _solver(self, rows: int, sweep: int) -> LevenbergMarquardt:
-        """Return the settings of a sweep: half of the steps if another follows."""
+        """Settings of a sweep: half of the steps if another follows."""
         solver = self.method.solver
         if sweep + 1 == self._sweeps(rows):
             return solver
@@ -165,13 +168,13 @@ class RecedingHorizon(AbstractMethod):
         return dataclasses.replace(solver, max_steps=steps)
 
     def _sweeps(self, rows: int) -> int:
-        """Return how often a path of some rows is gone through."""
+        """Number of sweeps over a path of some rows."""
         return self.sweeps if self.segment_count(rows) > 1 else 1
 
     def _first(
         self, problem: Problem, spline: SplineOffsets, start: FloatRows | None
     ) -> HorizonRun:
-        """Return the state before the first segment, or that to resume."""
+        """State before the first segment."""
         nominal = np.asarray(problem.nominal)
         free = np.zeros((spline.coefficient_count, nominal.shape[1]))
         if start is not None:
@@ -180,40 +183,25 @@ class RecedingHorizon(AbstractMethod):
             free = project(spline, away, problem.max_offset, limits=limits)
         coefficients = np.pad(free, ((CLAMPED, CLAMPED), (0, 0)))
         state = self._begun(problem, spline, coefficients)
-        run = HorizonRun(0, 0, coefficients, state, 0.0, ())
-        return unpack_run(self.resume, run) if self.resume else run
-
-    def _again(
-        self, problem: Problem, spline: SplineOffsets, run: HorizonRun
-    ) -> HorizonRun:
-        """Return the state before the first segment of the next sweep."""
-        state = self._begun(problem, spline, run.coefficients)
-        return HorizonRun(run.sweep + 1, 0, run.coefficients, state, 0.0, run.history)
+        return HorizonRun(0, 0, coefficients, state, 0.0, ())
 
     def _begun(
         self, problem: Problem, spline: SplineOffsets, coefficients: np.ndarray
     ) -> PyTree:
-        """Return the state at row 0, given three rows and those ahead."""
+        """State at row 0, given three rows and those ahead."""
         count = 3 + self.pieces.preview_rows
         return self.pieces.begin(command_at(problem, spline, coefficients, 0, count))
 
     def _window(self, spline: SplineOffsets, row: int) -> SplineWindow:
-        """Return what the segment from a row on sees of the spline."""
+        """Part of the spline that acts on the segment from a row on."""
         ahead = self.pieces.preview_rows
         return spline.window(row, self.horizon, preview_rows=ahead)
 
     def _limits(
         self, problem: Problem, spline: SplineOffsets
     ) -> tuple[LinearLimits, ...]:
-        """Return the limits of the whole command."""
+        """Limits of the whole command."""
         return self.method.all_limits(spline, np.asarray(problem.nominal))
-
-    def _has_bounds(self, row: int) -> bool:
-        """Tell whether a segment from a row on cuts what is to be held."""
-        bounds = self.method.bounds
-        if bounds is None:
-            return False
-        return bool(cut_points(bounds, row, row + self.horizon).any())
 
     def _segment(
         self, problem: Problem, spline: SplineOffsets, run: HorizonRun
@@ -221,7 +209,11 @@ class RecedingHorizon(AbstractMethod):
         """Correct the rows of one segment, and run them but for the overlap."""
         rows, row = problem.nominal.shape[0], run.row
         part = part_of(problem, self.pieces, run.state, row, self.horizon)
-        if np.any(part.is_cutting > 0) or self._has_bounds(row):
+        bounds = self.method.bounds
+        is_solved = bool(np.any(part.is_cutting > 0))
+        if bounds is not None:
+            is_solved |= bool(cut_points(bounds, row, row + self.horizon).any())
+        if is_solved:
             run = self._solve(problem, part, spline, run)
         state = run.state
         if row == 0:
@@ -230,17 +222,17 @@ class RecedingHorizon(AbstractMethod):
         if row + self.horizon >= rows:
             # The whole run that follows tells the error of these rows.
             return dataclasses.replace(run, row=rows, state=state)
-        kept = part_of(problem, self.pieces, state, row, self._hop + 1)
+        final = part_of(problem, self.pieces, state, row, self._hop + 1)
         count, window = self._hop + 1 + self.pieces.preview_rows, problem.window
         command = command_at(problem, spline, run.coefficients, row, count, window)
-        state, square = advance(kept, jnp.asarray(command))
+        state, square = advance(final, jnp.asarray(command))
         square, row = run.square + float(square), row + self._hop
         return dataclasses.replace(run, row=row, state=state, square=square)
 
     def _solve(
         self, problem: Problem, part: Problem, spline: SplineOffsets, run: HorizonRun
     ) -> HorizonRun:
-        """Return the run with the coefficients of a segment corrected."""
+        """Run with the coefficients of a segment corrected."""
         method, bound = self.method, float(problem.max_offset)
         limits = self._limits(problem, spline)
         dtype = np.asarray(problem.nominal).dtype
@@ -268,34 +260,34 @@ class RecedingHorizon(AbstractMethod):
             bounds,
         )
         fit = offset_fit(args, (part.plant,), limits=own)
-        found = fit_offsets(
+        last = fit_offsets(
             fit,
             first,
             self._solver(problem.nominal.shape[0], run.sweep),
             lower=np.where(is_free, -bound, first).reshape(-1),
             upper=np.where(is_free, bound, first).reshape(-1),
         )
-        if found is None:
+        if last is None:
             return dataclasses.replace(run, unsettled=run.unsettled + 1)
         new = run.coefficients.copy()
-        x = np.asarray(fit.coefficients(found.x), np.float64)
+        x = np.asarray(fit.coefficients(last.x), np.float64)
         changed = np.asarray(window.is_free)
         new[place[changed]] = x[changed]
         if bounds is not None:
-            check_bounds(bounds, fit, found, bound)
+            check_bounds(bounds, fit, last, bound)
         if run.sweep == 0 and not limits and bounds is None:
             again = self._overlapping(spline, run.row)
             new[again] = run.coefficients[again]
-        is_settled = found.has_converged and fit.is_within(found.value)
+        is_settled = last.has_converged and fit.is_within(last.value)
         return dataclasses.replace(
             run,
             coefficients=new,
-            history=_following(run.history, found.history),
+            history=_following(run.history, last.history),
             unsettled=run.unsettled + (not is_settled),
         )
 
     def _bounds(self, problem: Problem, row: int) -> SurfaceBounds | None:
-        """Return the bounds of the surface for the segment from a row on.
+        """Bounds of the surface for the segment from a row on; None without any.
 
         Its last rows cannot be brought within, since what lies behind them stays: half
         of the overlap is left free.
@@ -303,8 +295,8 @@ class RecedingHorizon(AbstractMethod):
         bounds, rows = self.method.bounds, problem.nominal.shape[0]
         if bounds is None:
             return None
-        look = self._hop + self.overlap // 2
-        ends = {k: self._end(rows, k, look) for k in range(0, rows, self._hop)}
+        count = self._hop + self.overlap // 2
+        ends = {k: self._end(rows, k, count) for k in range(0, rows, self._hop)}
         most = max(int(cut_points(bounds, k, end).sum()) for k, end in ends.items())
         return window_bounds(
             bounds,
@@ -315,13 +307,18 @@ class RecedingHorizon(AbstractMethod):
         )
 
     def _end(self, rows: int, row: int, count: int) -> int:
-        """Return the row behind some of a segment, all of them if it is the last."""
+        """Row behind some of a segment, behind all if it is the last."""
         return rows if row + self.horizon >= rows else row + count
 
     def _overlapping(
         self, spline: SplineOffsets, row: int
     ) -> Int[np.ndarray, " coefficient"]:
-        """Return the places of what the segment after that of a row may change."""
+        """Places of the coefficients that the next segment may change, (coefficient,).
+
+        Args:
+            spline: The basis.
+            row: First row of this segment.
+        """
         if row + self.horizon >= spline.step_count:
             return np.zeros(0, np.int32)
         window = self._window(spline, row + self._hop)
@@ -331,11 +328,14 @@ class RecedingHorizon(AbstractMethod):
     def _corrected(
         self, problem: Problem, spline: SplineOffsets, run: HorizonRun
     ) -> MethodResult:
-        """Run the whole plant with the command found."""
+        """Outcome with a run of the whole plant."""
         rows = problem.nominal.shape[0]
         share = self.horizon / rows
         last = run.history[-1] if run.history else None
-        found = corrected(
+        dtype = np.asarray(problem.nominal).dtype
+        offsets = np.abs(np.asarray(run.coefficients, dtype))
+        at_bound = offsets >= np.asarray(problem.max_offset, dtype)
+        outcome = corrected(
             problem,
             command_at(problem, spline, run.coefficients, 0, rows),
             forward_runs=0 if last is None else int(np.ceil(share * last.evaluations)),
@@ -344,7 +344,7 @@ class RecedingHorizon(AbstractMethod):
             detail={
                 "knot_spacing": spline.actual_spacing,
                 "unknowns": float(spline.coefficient_count * problem.nominal.shape[1]),
-                "bound_count": _bound_count(problem, run),
+                "bound_count": float(np.sum(at_bound)),
                 "segment_count": float(self.segment_count(rows)),
                 "sweeps": float(self._sweeps(rows)),
                 "horizon": float(self.horizon),
@@ -356,28 +356,18 @@ class RecedingHorizon(AbstractMethod):
             result=RESULTS.not_converged if run.unsettled else RESULTS.successful,
         )
         if (bounds := self.method.bounds) is not None:
-            errors = np.asarray(bounds.errors(found.motion), np.float64)
+            errors = np.asarray(bounds.errors(outcome.motion), np.float64)
             if np.all(np.isfinite(errors)) and not keeps_bounds(bounds, errors):
-                free, bound = (
-                    run.coefficients[CLAMPED:-CLAMPED],
-                    float(problem.max_offset),
-                )
+                free = run.coefficients[CLAMPED:-CLAMPED]
                 limits = self._limits(problem, spline)
-                raise refusal(bounds, errors, free, bound, limits)
-        return found
-
-
-def _bound_count(problem: Problem, run: HorizonRun) -> float:
-    """Return how many unknowns stand at the largest offset, in their precision."""
-    dtype = np.asarray(problem.nominal).dtype
-    found = np.abs(np.asarray(run.coefficients, dtype))
-    return float(np.sum(found >= np.asarray(problem.max_offset, dtype)))
+                raise refusal(bounds, errors, free, float(problem.max_offset), limits)
+        return outcome
 
 
 def _following(
     before: tuple[LeastSquaresStep, ...], steps: tuple[LeastSquaresStep, ...]
 ) -> tuple[LeastSquaresStep, ...]:
-    """Return steps with those of earlier segments, what these have cost added."""
+    """Steps of earlier segments and of this one, whose costs are counted on."""
     if not before:
         return steps
     last = before[-1]

@@ -12,15 +12,6 @@ from ..._types import FloatRows
 from ...optimise import LeastSquaresStep
 from .._core.linear_motion import LinearMotion, linear_motion
 from .._core.problem import Motion, Problem
-from .._method.checkpoint import (
-    Arrays,
-    below,
-    pack_history,
-    pack_tree,
-    under,
-    unpack_history,
-    unpack_tree,
-)
 from .._spline.spline_offsets import CLAMPED, SplineOffsets
 from .plant_segment import AbstractPiece, AbstractPieces
 
@@ -64,11 +55,11 @@ class StillRows(eqx.Module):
     ahead: int = eqx.field(static=True)
 
     def known(self, command: AnyRows) -> Float[Array, "inner ..."]:
-        """Return what the piece is told of a command or its changes."""
+        """Rows of a command, or of its changes, that the piece sees."""
         return jnp.asarray(command)[self.reach : -self.reach]
 
     def around(self, motion: Motion) -> Motion:
-        """Return a motion with its first and last rows repeated."""
+        """Motion with its first and last rows repeated."""
         ends = self.reach, self.reach + self.ahead
         pad = lambda x: jnp.pad(
             x, (*((0, 0),) * (x.ndim - 2), ends, (0, 0)), mode="edge"
@@ -88,16 +79,16 @@ class PaddedPiece(eqx.Module):
     still: StillRows
 
     def __call__(self, command: Float[Array, "step axis"]) -> Motion:
-        """Return the motion, its first and last row repeated."""
+        """Motion that follows a command, its first and last row repeated."""
         return self.run(command)[0]
 
     def run(self, command: Float[Array, "step axis"]) -> tuple[Motion, PyTree]:
-        """Return the motion and the plant's state at the piece's last row."""
+        """Motion, and the plant's state at the piece's last row."""
         motion, state = self.piece.run(self.still.known(command))
         return self.still.around(motion), state
 
     def linearised(self, command: FloatRows) -> "PaddedMotion":
-        """Return the linear system around a command."""
+        """Linear system around a command."""
         inner = linear_motion(_Rows(self.piece), self.still.known(command))
         return PaddedMotion(self.still.around(inner.motion), inner, self.still)
 
@@ -116,7 +107,7 @@ class PaddedMotion(LinearMotion):
     still: StillRows
 
     def move(self, changes: Float[Array, "step axis direction"]) -> Motion:
-        """Return the changes of the motion, each direction a row of the first axis."""
+        """Changes of the motion, each direction a row of the first axis."""
         return self.still.around(self.inner.move(self.still.known(changes)))
 
 
@@ -138,7 +129,7 @@ class _Rows(eqx.Module):
 def advance(
     part: Problem, command: Float[Array, "step axis"]
 ) -> tuple[PyTree, Float[Array, ""]]:
-    """Return the state at a piece's last row, and its sum of squared errors.
+    """State at a piece's last row, and its sum of squared errors [m^2].
 
     The last row belongs to the piece after.
     """
@@ -153,7 +144,7 @@ def advance(
 def part_of(
     problem: Problem, pieces: AbstractPieces, state: PyTree, row: int, count: int
 ) -> Problem:
-    """Return the problem of some rows, with more around them that do not count."""
+    """Problem of some rows, with more around them that do not count."""
     rows, reach, ahead = problem.nominal.shape[0], problem.window, pieces.preview_rows
     inner = np.arange(row, row + count + ahead)
     around = np.clip(np.arange(row - reach, row + count + ahead + reach), 0, rows - 1)
@@ -179,7 +170,7 @@ def command_at(
     count: int,
     reach: int = 0,
 ) -> Float[Array, "step axis"]:
-    """Return the command at some rows, and at some more around them."""
+    """Command at some rows, and at some more around them."""
     nominal = np.asarray(problem.nominal)
     offsets = spline.offsets(jnp.asarray(coefficients[CLAMPED:-CLAMPED], nominal.dtype))
     command = nominal + np.asarray(offsets)
@@ -188,32 +179,6 @@ def command_at(
 
 
 def rms_so_far(problem: Problem, run: HorizonRun, counted: int) -> float:
-    """Return the rms contour error of the rows that count so far [m]."""
+    """Root mean square contour error of the rows that count so far [m]."""
     weight = float(np.sum(np.asarray(problem.is_cutting)[:counted]))
     return float(np.sqrt(run.square / weight)) if weight > 0 else 0.0
-
-
-def pack_run(run: HorizonRun) -> dict[str, np.ndarray]:
-    """Return a run as arrays for a checkpoint."""
-    return {
-        "sweep": np.asarray(run.sweep),
-        "row": np.asarray(run.row),
-        "coefficients": run.coefficients,
-        "square": np.asarray(run.square),
-        "history": pack_history(run.history),
-        "unsettled": np.asarray(run.unsettled),
-        **under("state", pack_tree(run.state)),
-    }
-
-
-def unpack_run(arrays: Arrays, like: HorizonRun) -> HorizonRun:
-    """Return the run that `pack_run` was given; `like` has a state of the same form."""
-    return HorizonRun(
-        int(arrays["sweep"]),
-        int(arrays["row"]),
-        np.asarray(arrays["coefficients"]),
-        unpack_tree(below("state", arrays), like.state),
-        float(arrays["square"]),
-        unpack_history(arrays["history"]),
-        int(arrays["unsettled"]),
-    )

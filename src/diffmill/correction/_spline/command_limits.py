@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 # Share of a limit that the steps to it leave, and by which a program may be beyond it:
 # differences of rows are rounded.
-_RESERVE = 1e-6
+_RESERVE_SHARE = 1e-6
 
 Coefficients = Float[np.ndarray, "coefficient axis"]
 Rows = Float[np.ndarray, "row axis"]
@@ -51,28 +51,28 @@ class LinearLimits(eqx.Module):
     name: str = eqx.field(static=True, default="limits")
 
     def apply(self, coefficients: Coefficients) -> Float[np.ndarray, " row"]:
-        """Return the values for coefficients, shape (row,)."""
+        """Values for coefficients, shape (row,)."""
         return self.matrix @ coefficients.reshape(-1)
 
     def about(self, point: Coefficients) -> LinearRows:
-        """Return the limits as constraints of a step from a point that keeps them.
+        """Limits as constraints of a step from a point that keeps them.
 
         Args:
             point: Coefficients, shape (coefficient, axis).
         """
         rows = self.apply(point)
-        # A point on a limit may be beyond it by rounding. What a step may take beyond
-        # its own limits, which the solver does not tell from them, is kept.
-        kept = 1 - _RESERVE
-        lower = np.minimum(kept * self.lower - rows, 0.0)
-        upper = np.maximum(kept * self.upper - rows, 0.0)
+        # A point on a limit may be beyond it by rounding, and a step beyond its own
+        # limits by the tolerance of the solver.
+        share = 1 - _RESERVE_SHARE
+        lower = np.minimum(share * self.lower - rows, 0.0)
+        upper = np.maximum(share * self.upper - rows, 0.0)
         return LinearRows(self.matrix, lower, upper)
 
     @classmethod
     def by_axis(
         cls, matrix: "csr_array", lower: Rows, upper: Rows, name: str = "limits"
     ) -> "LinearLimits":
-        """Return limits of the same functions of the coefficients of each axis.
+        """Limits of the same functions of the coefficients of each axis.
 
         Args:
             matrix: Sparse, shape (row, coefficient).
@@ -96,7 +96,7 @@ class LinearLimits(eqx.Module):
         max_acceleration: float = np.inf,
         unit: str = "",
     ) -> "tuple[LinearLimits, ...]":
-        """Return the limits that keep a whole command within its derivatives' bounds.
+        """Limits that keep a whole command within its derivatives' bounds.
 
         Args:
             spline: Basis of the offset.
@@ -115,7 +115,7 @@ class LinearLimits(eqx.Module):
         **Differentiability**: none, a host function.
         """
         nominal = np.asarray(nominal, np.float64)
-        found = []
+        limits = []
         for order, name, limit in (
             (1, "max_velocity", max_velocity),
             (2, "max_acceleration", max_acceleration),
@@ -132,7 +132,7 @@ class LinearLimits(eqx.Module):
             # In the coefficients' unit, so that rows of both kinds are alike in size.
             step = time_step**order
             scale = spline.actual_spacing**order
-            found.append(
+            limits.append(
                 LinearLimits.by_axis(
                     matrix * (scale / step),
                     np.minimum(scale * (-limit - rate), 0.0),
@@ -140,7 +140,7 @@ class LinearLimits(eqx.Module):
                     name,
                 )
             )
-        return tuple(found)
+        return tuple(limits)
 
 
 def _check_nominal(
@@ -154,7 +154,7 @@ def _check_nominal(
     """Raise if the nominal command alone is above the limit."""
     row, axis = np.unravel_index(np.argmax(np.abs(rate)), rate.shape)
     worst = float(np.abs(rate[row, axis]))
-    if worst <= limit * (1 + _RESERVE):
+    if worst <= limit * (1 + _RESERVE_SHARE):
         return
     raise InfeasibleLimit(
         f"Argument `{name}` must be at least what the program itself needs, "
@@ -164,20 +164,17 @@ def _check_nominal(
 
 
 def feasible_share(p: Coefficients, limits: Sequence[LinearLimits]) -> float:
-    """Return the largest a with a p within the limits; above 1 where there is room.
+    """Largest a with a p within the limits; above 1 where there is room.
 
     **Differentiability**: none, a host function.
     """
-    shares = [_share(limit.apply(p), limit.lower, limit.upper) for limit in limits]
-    return min(shares, default=np.inf)
-
-
-def _share(rows: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> float:
-    bound = np.where(rows > 0, upper, lower)
-    moves = np.abs(rows) > 0
-    if not np.any(moves):
-        return np.inf
-    # A bound that is met by rounding only leaves a share of 0, not below. One rounding
-    # less, so that the product itself stays within.
-    least = float(np.min(np.maximum(bound[moves] / rows[moves], 0)))
-    return least * (1 - 1e-12)
+    share = np.inf
+    for limit in limits:
+        rows = limit.apply(p)
+        moves = np.abs(rows) > 0
+        bound = np.where(rows > 0, limit.upper, limit.lower)[moves]
+        # A bound that is met by rounding only leaves a share of 0, not below.
+        shares = np.maximum(bound / rows[moves], 0)
+        share = min(share, float(shares.min(initial=np.inf)))
+    # One rounding less, so that the product itself stays within.
+    return share * (1 - 1e-12)

@@ -2,7 +2,6 @@
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -10,11 +9,11 @@ from jaxtyping import Float
 from ..._types import FloatRows, RealScalarLike
 from ...optimise import solve_quadratic_program
 from .command_limits import LinearLimits, feasible_share
-from .spline_offsets import SplineOffsets, adjoint_offsets
+from .spline_offsets import SplineOffsets, adjoint_offsets, basis_matrix
 
-# Limits are drawn in by this share of their largest bound: what the solver cannot tell.
+# Limits are drawn in by this share of their largest bound, the tolerance of the solver.
 # Where a bound is 0 it may be passed by as much.
-_TOLERANCE = 1e-7
+_LIMIT_TOLERANCE = 1e-7
 
 
 class QuadraticNotSolved(ArithmeticError):
@@ -28,7 +27,7 @@ def project(
     *,
     limits: Sequence[LinearLimits] = (),
 ) -> Float[np.ndarray, "coefficient axis"]:
-    """Return the bounded spline closest to a raw offset in least squares.
+    """Coefficients of the bounded spline closest to a raw offset in least squares.
 
     The bound holds for every coefficient, hence for the curve; limits hold exactly.
 
@@ -39,7 +38,7 @@ def project(
         limits: Limits of the command, see `LinearLimits.of_command`.
 
     Returns:
-        Coefficients, shape (coefficient, axis).
+        Coefficients, shape (coefficient, axis), in the command's unit.
 
     Raises:
         QuadraticNotSolved: The quadratic program could not be solved.
@@ -57,11 +56,11 @@ def project(
     gradient = -adjoint_offsets(spline, offset)
     axes = gradient.shape[1]
     box = np.full(gradient.size, bound)
-    hard = [_moved(limit, _TOLERANCE) for limit in limits]
+    hard = [_drawn_in(limit, _LIMIT_TOLERANCE) for limit in limits]
+    # The matrix of the squares, B^T B for each axis.
+    basis = basis_matrix(spline)
     least = solve_quadratic_program(
-        sparse.csr_array(
-            sparse.kron(_symmetric(spline.normal_band()), sparse.eye_array(axes))
-        ),
+        sparse.csr_array(sparse.kron(basis.T @ basis, sparse.eye_array(axes))),
         gradient.reshape(-1),
         sparse.csr_array(
             sparse.vstack([sparse.eye_array(box.size), *(x.matrix for x in limits)])
@@ -75,12 +74,12 @@ def project(
             "has no solution to working precision."
         )
     p = np.clip(least.reshape(gradient.shape), -bound, bound)
-    loose = [_moved(limit, -_TOLERANCE) for limit in limits]
+    loose = [_drawn_in(limit, -_LIMIT_TOLERANCE) for limit in limits]
     return min(1.0, feasible_share(p, loose)) * p
 
 
-def _moved(limit: LinearLimits, share: float) -> LinearLimits:
-    """Return a limit drawn in by a share of its largest bound, or let out where 0."""
+def _drawn_in(limit: LinearLimits, share: float) -> LinearLimits:
+    """Limit drawn in by a share of its largest bound, or let out where it is 0."""
     ends = np.concatenate([limit.lower, limit.upper])
     slack = share * np.max(np.abs(ends[np.isfinite(ends)]), initial=0.0)
     if slack > 0:
@@ -96,30 +95,15 @@ def clip_offset(
     command: FloatRows,
     max_offset: RealScalarLike,
 ) -> Float[np.ndarray, "step axis"]:
-    """Return a command with every offset cut at the bound, row by row.
+    """Command with every offset cut at the bound, row by row, shape (step, axis).
 
     Args:
         nominal: The uncorrected command, shape (step, axis).
         command: The command, shape (step, axis).
         max_offset: Largest magnitude of the offset per axis.
 
-    Returns:
-        The command, within the bound.
-
     **Differentiability**: runs on the host, not traceable.
     """
     nominal = np.asarray(nominal, np.float64)
     offset = np.asarray(command, np.float64) - nominal
     return nominal + np.clip(offset, -float(max_offset), float(max_offset))
-
-
-def _symmetric(band: Float[np.ndarray, "4 coefficient"]) -> Any:
-    """Return the symmetric matrix of an upper band, sparse."""
-    from scipy import sparse
-
-    count = band.shape[1]
-    above = [band[3 - k] for k in range(4)]
-    # Both triangles are stored by columns.
-    below = [np.roll(band[3 - k], -k) for k in range(1, 4)]
-    places = [0, 1, 2, 3, -1, -2, -3]
-    return sparse.dia_array((np.stack(above + below), places), shape=(count, count))

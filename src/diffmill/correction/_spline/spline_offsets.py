@@ -1,6 +1,6 @@
 """Offsets of a command over time as a cubic B-spline with few coefficients."""
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -73,7 +73,7 @@ class SplineOffsets(eqx.Module):
     def offsets(
         self, coefficients: Float[Array, "coefficient axis"]
     ) -> Float[Array, "step axis"]:
-        """Return the curve at every row.
+        """Curve at every row, shape (step, axis).
 
         Args:
             coefficients: Free coefficients [unit of the command],
@@ -94,7 +94,7 @@ class SplineOffsets(eqx.Module):
     def roughness(
         self, coefficients: Float[Array, "coefficient axis"]
     ) -> Float[Array, "interval axis"]:
-        """Return the second differences of all coefficients, the clamped included.
+        """Second differences of all coefficients, the clamped included.
 
         Divided by the square of the knot spacing they are the second derivative of
         the curve at the knots.
@@ -111,7 +111,7 @@ class SplineOffsets(eqx.Module):
         return padded[2:] - 2 * padded[1:-1] + padded[:-2]
 
     def normal_band(self) -> Float[np.ndarray, "4 coefficient"]:
-        """Return the upper band of B^T B, in the layout of `scipy.linalg`."""
+        """Upper band of B^T B, in the layout of `scipy.linalg`."""
         start, weights = _basis(self)
         count = self.coefficient_count
         full = np.zeros((4, count + 2 * CLAMPED))
@@ -123,7 +123,7 @@ class SplineOffsets(eqx.Module):
     def fit(
         self, signal: Float[np.ndarray, "step axis"] | Float[Array, "step axis"]
     ) -> Float[np.ndarray, "coefficient axis"]:
-        """Return the coefficients closest to a signal in least squares.
+        """Coefficients closest to a signal in least squares, (coefficient, axis).
 
         Args:
             signal: Offsets at every row, shape (step, axis).
@@ -143,7 +143,7 @@ class SplineOffsets(eqx.Module):
     def window(
         self, first_row: int, row_count: int, *, preview_rows: int = 0
     ) -> "SplineWindow":
-        """Return the part of the spline that some rows see.
+        """Part of the spline that acts on some rows.
 
         Args:
             first_row: First row of the window.
@@ -214,7 +214,7 @@ class SplineWindow(eqx.Module):
     def offsets(
         self, coefficients: Float[Array, "coefficient axis"]
     ) -> Float[Array, "step axis"]:
-        """Return the curve at the rows of the window, shape (step, axis)."""
+        """Curve at the rows of the window, shape (step, axis)."""
         weights = jnp.asarray(self.weights, coefficients.dtype)
         start = jnp.asarray(self.start)
         terms = [weights[:, r, None] * coefficients[start + r] for r in range(4)]
@@ -223,22 +223,22 @@ class SplineWindow(eqx.Module):
     def roughness(
         self, coefficients: Float[Array, "coefficient axis"]
     ) -> Float[Array, "interval axis"]:
-        """Return the second differences of the coefficients, (interval, axis)."""
+        """Second differences of the coefficients, shape (interval, axis)."""
         return coefficients[2:] - 2 * coefficients[1:-1] + coefficients[:-2]
 
     def place(self) -> Int[np.ndarray, " coefficient"]:
-        """Return the places of the coefficients among those of the program."""
+        """Places of the coefficients among those of the program, (coefficient,)."""
         return int(self.first) + np.arange(self.is_free.shape[0])
 
     def padded(self, reach: int) -> "SplineWindow":
-        """Return the window with more rows at either end, as the last there are."""
+        """Window with more rows at either end, copies of its first and last."""
         start = np.pad(np.asarray(self.start), reach, mode="edge")
         weights = np.pad(np.asarray(self.weights), ((reach,) * 2, (0, 0)), mode="edge")
         return SplineWindow(start, weights, self.first, self.is_free)
 
 
 def basis_matrix(spline: SplineOffsets) -> "csr_array":
-    """Return the basis as a sparse matrix of `scipy.sparse`.
+    """Basis as a sparse matrix of `scipy.sparse`, shape (step, coefficient).
 
     Args:
         spline: The basis B.
@@ -261,14 +261,11 @@ def basis_matrix(spline: SplineOffsets) -> "csr_array":
 def adjoint_offsets(
     spline: SplineOffsets, signal: Float[np.ndarray, "step axis"]
 ) -> Float[np.ndarray, "coefficient axis"]:
-    """Return the transposed basis applied to a signal, on the host.
+    """Transposed basis times a signal, B^T signal, shape (coefficient, axis).
 
     Args:
         spline: The basis B.
         signal: One value per row, shape (step, axis).
-
-    Returns:
-        B^T signal, shape (coefficient, axis).
 
     **Differentiability**: linear; on the host, not traceable.
     """
@@ -280,19 +277,10 @@ def adjoint_offsets(
     return full[CLAMPED:-CLAMPED]
 
 
-class _Basis(NamedTuple):
-    """The four basis functions that do not vanish at a row.
-
-    Attributes:
-        start: First of their coefficients, shape (step,).
-        weights: Their values [-], shape (step, 4).
-    """
-
-    start: Int[np.ndarray, " step"]
-    weights: Float[np.ndarray, "step 4"]
-
-
-def _basis(spline: SplineOffsets) -> _Basis:
+def _basis(
+    spline: SplineOffsets,
+) -> tuple[Int[np.ndarray, " step"], Float[np.ndarray, "step 4"]]:
+    """First of the four coefficients of each row, and the values of their functions."""
     count = spline.interval_count
     # From the row count and not from time_step, so that the last row is the last knot.
     place = np.arange(spline.step_count) * (count / (spline.step_count - 1))
@@ -307,4 +295,4 @@ def _basis(spline: SplineOffsets) -> _Basis:
         ],
         axis=1,
     )
-    return _Basis(start, weights)
+    return start, weights

@@ -14,7 +14,7 @@ def window_limits(
     coefficients: Float[np.ndarray, "all axis"],
     window: SplineWindow,
 ) -> tuple[LinearLimits, ...]:
-    """Return limits of a whole command as those of the coefficients of a window.
+    """Limits of a whole command as those of the coefficients of a window.
 
     Args:
         limits: Limits of the free coefficients of the program.
@@ -23,7 +23,7 @@ def window_limits(
         window: The window.
 
     Returns:
-        The same limits, for the rows that what may change acts on.
+        The same limits, of the rows on which the free coefficients act.
 
     **Differentiability**: runs on the host, not traceable.
     """
@@ -35,21 +35,21 @@ def window_limits(
     columns = _flat(window.place()[is_free] - CLAMPED, axes)
     entries = np.ones(inside.size), (np.arange(inside.size), inside)
     spread = sparse.csr_array(entries, shape=(inside.size, is_free.size * axes))
-    rest = coefficients[CLAMPED:-CLAMPED].copy()
-    rest.reshape(-1)[columns] = 0.0
-    found = []
+    fixed = coefficients[CLAMPED:-CLAMPED].copy()
+    fixed.reshape(-1)[columns] = 0.0
+    window_rows = []
     for limit in limits:
         own = sparse.csc_array(limit.matrix)[:, columns]
         rows = np.unique(own.nonzero()[0])
         matrix = sparse.csr_array(own)[rows] @ spread
-        others = limit.apply(rest)[rows]
-        lower, upper = limit.lower[rows], limit.upper[rows]
-        found.append(LinearLimits(matrix, lower - others, upper - others, limit.name))
-    return tuple(found)
+        moved = limit.apply(fixed)[rows]
+        lower, upper = limit.lower[rows] - moved, limit.upper[rows] - moved
+        window_rows.append(LinearLimits(matrix, lower, upper, limit.name))
+    return tuple(window_rows)
 
 
 def _flat(
     places: Int[np.ndarray, " place"], axes: int
 ) -> Int[np.ndarray, " coefficient"]:
-    """Return the places of all axes of coefficients, row by row."""
+    """Places of all axes of coefficients, row by row."""
     return (places[:, None] * axes + np.arange(axes)[None]).reshape(-1)

@@ -14,8 +14,9 @@ an evaluation is a gather and a minimum. Unlike the tip's deviation it sees that
 is cut again by a later one, and which of two neighbouring poses decides.
 """
 
+import dataclasses
 from types import ModuleType
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -27,17 +28,17 @@ from ..._types import FloatRows3, RealScalarLike
 from ...workpiece import Rays, Stock
 
 # Where a pose does not reach a point, it leaves material this far out [m].
-_FAR = 1.0
-# Points of a kind, and pairs of a point and a pose, at most; the rest of the points is
-# left out evenly.
-_POINTS, _PAIRS = 2000, 2_000_000
-# How much more a bottom leaves for each length that a point is beside its rim. It
-# leaves all there, but so a pose that ends a little short has a slope back to it.
-_RIM = 10.0
+_OUT_OF_REACH = 1.0
+# Points of a kind, and pairs of a point and a pose, at most; further points are left
+# out evenly.
+_MAX_POINTS, _MAX_PAIRS = 2000, 2_000_000
+# Slope of the material that a bottom leaves over the distance of a point from its rim.
+# It leaves all there, but so a pose that ends a little short has a slope back to it.
+_RIM_SLOPE = 10.0
 # Poses that differ by less leave a point together [m].
 SAME_DEPTH = 1e-6
 # A pose that is no further out of a point could spoil it [m].
-_NEAR = 1e-4
+_TOUCHING_DEPTH = 1e-4
 
 
 class CutInstants(eqx.Module):
@@ -66,7 +67,7 @@ class CutInstants(eqx.Module):
         desired: Float[np.ndarray, "step 3"],
         shares: Float[np.ndarray, " step"],
     ) -> "CutInstants":
-        """Return the instants of points that were cut at some times.
+        """Instants of points that were cut at some times.
 
         Args:
             cut_by: When the points were cut [tooth period], shape (point,); NaN where a
@@ -109,14 +110,12 @@ class FinishedSurface(eqx.Module):
     instants: CutInstants | None = None
 
     def errors(self, actual: FloatRows3) -> Float[Array, " point"]:
-        """Return how far out of the ideal surface the machined one lies.
+        """Errors of the machined surface along the normals [m], shape (point,).
+
+        Positive where material was left, negative where too much was cut.
 
         Args:
             actual: Actual tips [m], shape (step, 3).
-
-        Returns:
-            Positive where material was left, negative where too much was cut [m],
-            shape (point,).
 
         **Differentiability**: kink where another pose becomes the deepest.
         """
@@ -125,27 +124,24 @@ class FinishedSurface(eqx.Module):
         return self._depths(actual, best[:, None])[:, 0]
 
     def depths(self, actual: FloatRows3) -> Float[Array, "point pose"]:
-        """Return how far out of the ideal surface each pose of a point cuts [m].
+        """Distances out of the ideal surface at which poses cut [m], (point, pose).
 
         Args:
             actual: Actual tips [m], shape (step, 3).
-
-        Returns:
-            As `errors`, of every pose, shape (point, pose).
 
         **Differentiability**: smooth where the pose cuts.
         """
         return self._depths(actual)
 
     def host_depths(self, desired: FloatRows3) -> Float[np.ndarray, "point pose"]:
-        """Return what `depths` does, as NumPy arrays."""
+        """Distances of `depths` as NumPy arrays [m], shape (point, pose)."""
         return _depths(np, self, np.asarray(desired, np.float64))
 
     @eqx.filter_jit
     def _depths(
         self, actual: FloatRows3, chosen: Int[Array, "point some"] | None = None
     ) -> Float[Array, "point some"]:
-        """Return how far out of the ideal surface poses of each point cut."""
+        """Distances of chosen poses [m], shape (point, some), by a compiled program."""
         return _depths(jnp, self, jnp.asarray(actual), chosen)
 
     @classmethod
@@ -158,7 +154,9 @@ class FinishedSurface(eqx.Module):
         reach: float = 5e-4,
         shares: Float[np.ndarray, " step"] | None = None,
     ) -> "FinishedSurface":
-        """Return the surface that a rigid flat tool along +z leaves.
+        """Surface that a rigid flat tool along +z leaves.
+
+        At most 2000 points of walls and of floors each.
 
         Args:
             stock: The stock after the rigid cut; its ends know the poses that cut them.
@@ -169,9 +167,6 @@ class FinishedSurface(eqx.Module):
             shares: When in the tooth period before each row the actual tips are taken,
                 see `Solution.wall_share`, shape (step,); None for tips at the rows.
 
-        Returns:
-            At most 2000 points of walls and of floors each.
-
         Raises:
             ValueError: No end was cut by a pose.
 
@@ -180,8 +175,12 @@ class FinishedSurface(eqx.Module):
         tips = np.asarray(desired, np.float64)
         walls = _wall_points(stock, tips, radius).decimated().settled(tips, radius)
         floors = _floor_points(stock, tips, radius, reach).decimated()
+        # Poses that may cut each point deepest.
         poses = [
-            _wall_poses(walls, tips, radius, reach),
+            [
+                np.flatnonzero(wall_depths(p, n, tips, radius) < reach)
+                for p, n in zip(walls.points, walls.normals, strict=True)
+            ],
             _floor_poses(floors.points, tips, radius, reach),
         ]
         is_seen = [np.array([rows.size > 0 for rows in kind], bool) for kind in poses]
@@ -190,16 +189,17 @@ class FinishedSurface(eqx.Module):
                 "Argument `stock` must have been cut by a pose, but was not."
             )
         width = max(rows.size for kind in poses for rows in kind)
-        kept = [
-            _evenly_chosen(np.flatnonzero(seen), _PAIRS // (2 * width))
+        chosen = [
+            _evenly_chosen(np.flatnonzero(seen), _MAX_PAIRS // (2 * width))
             for seen in is_seen
         ]
-        walls, floors = walls.subset(kept[0]), floors.subset(kept[1])
+        walls, floors = walls.subset(chosen[0]), floors.subset(chosen[1])
+        # Rows of one width, each pose about as often as the others, in their order.
         rows = np.stack(
             [
-                _filled(kind[i], width)
-                for kind, few in zip(poses, kept, strict=True)
-                for i in few
+                kind[i][np.arange(width) * kind[i].size // width].astype(np.int32)
+                for kind, some in zip(poses, chosen, strict=True)
+                for i in some
             ]
         )
         instants = None
@@ -209,21 +209,20 @@ class FinishedSurface(eqx.Module):
         return cls(
             points=np.concatenate([walls.points, floors.points]),
             normals=np.concatenate([walls.normals, floors.normals]),
-            is_wall=np.repeat([True, False], [kept[0].size, kept[1].size]),
+            is_wall=np.repeat([True, False], [chosen[0].size, chosen[1].size]),
             poses=rows,
             radius=np.asarray(radius, np.float64),
             instants=instants,
         )
 
     def host_slopes(self, actual: FloatRows3) -> Float[np.ndarray, "3 point pose"]:
-        """Return by how much the depth of a pose grows with each axis of its tip.
+        """Derivatives of `depths` by the axes of the poses' tips, (3, point, pose).
+
+        That the tips beside tell where a tip is at another instant than its row's is
+        left out.
 
         Args:
             actual: Actual tips [m], shape (step, 3).
-
-        Returns:
-            Derivatives of `depths`, shape (3, point, pose). That the tips beside tell
-            where a tip is at another instant than its row's is left out.
 
         **Differentiability**: none, a host function.
         """
@@ -235,7 +234,7 @@ class FinishedSurface(eqx.Module):
         lean = across / np.sqrt(np.where(is_under, R**2 - across**2, 1.0))
         is_wall = np.asarray(self.is_wall)[:, None]
         off = np.linalg.norm(apart[..., :2], axis=2)
-        rim = np.where(off > R, _RIM / np.maximum(off, R), 0.0)
+        rim = np.where(off > R, _RIM_SLOPE / np.maximum(off, R), 0.0)
         across_wall = (n[..., 0] - lean * n[..., 1], n[..., 1] + lean * n[..., 0])
         slopes = [
             np.where(is_wall, is_under * side, rim * apart[..., axis])
@@ -248,15 +247,14 @@ class FinishedSurface(eqx.Module):
         desired: FloatRows3,
         weights: Float[np.ndarray, " step"],
     ) -> Float[np.ndarray, " point"]:
-        """Return how much the points of a self count, from the rows that leave them.
+        """Weights of the points, from those of the rows that leave them, (point,).
+
+        The largest weight of the rows that are the deepest at the point on the desired
+        path, to a micrometre.
 
         Args:
             desired: The desired path [m], shape (step, 3).
             weights: Weight of every row, shape (step,).
-
-        Returns:
-            The largest weight of the rows that are the deepest at the point on the
-            desired path, to a micrometre, shape (point,).
 
         **Differentiability**: none, a host function.
         """
@@ -266,30 +264,29 @@ class FinishedSurface(eqx.Module):
         return np.max(np.where(is_deepest, each, 0.0), axis=1)
 
     def touching_rows(self, desired: FloatRows3) -> Bool[np.ndarray, " step"]:
-        """Return which rows come so near to a self that they could spoil it.
+        """True at rows that come so near to the surface that they could spoil it.
+
+        At most 0.1 mm out of a point. More rows than those that cut: also those that
+        pass over what has been cut before.
 
         Args:
             desired: The desired path [m], shape (step, 3).
 
-        Returns:
-            Whether a pose is at most 0.1 mm out of a point, shape (step,). More rows
-            than those that cut: also those that pass over what has been cut before.
-
         **Differentiability**: none, a host function.
         """
-        is_near = self.host_depths(desired) <= _NEAR
-        found = np.zeros(len(np.asarray(desired)), bool)
-        found[np.unique(np.asarray(self.poses)[is_near])] = True
-        return found
+        is_near = self.host_depths(desired) <= _TOUCHING_DEPTH
+        touches = np.zeros(len(np.asarray(desired)), bool)
+        touches[np.unique(np.asarray(self.poses)[is_near])] = True
+        return touches
 
 
 def _apart(
     xp: ModuleType, surface: FinishedSurface, tips: Any, chosen: Any = None
 ) -> Any:
-    """Return poses less their points when they cut, all or some of each point."""
+    """Vectors from points to poses that cut them, all or chosen ones [m]."""
     poses, instants = xp.asarray(surface.poses), surface.instants
     rows = poses if chosen is None else xp.take_along_axis(poses, chosen, axis=1)
-    found = tips[rows]
+    places = tips[rows]
     if instants is not None:
         late, ahead = (
             xp.asarray(x, tips.dtype) for x in (instants.late, instants.ahead)
@@ -297,14 +294,14 @@ def _apart(
         if chosen is not None:
             index = (xp.arange(len(chosen))[:, None], chosen)
             late, ahead = late[index], ahead[index]
-        found = found + late[..., None] * xp.gradient(tips, axis=0)[rows] + ahead
-    return found - xp.asarray(surface.points, tips.dtype)[:, None]
+        places = places + late[..., None] * xp.gradient(tips, axis=0)[rows] + ahead
+    return places - xp.asarray(surface.points, tips.dtype)[:, None]
 
 
 def _depths(
     xp: ModuleType, surface: FinishedSurface, tips: Any, chosen: Any = None
 ) -> Any:
-    """Return how far out of a surface poses of each point cut, in NumPy or JAX.
+    """Distances out of a surface at which poses cut [m], in NumPy or JAX.
 
     On the host a program would serve one number of points alone.
     """
@@ -312,7 +309,7 @@ def _depths(
     apart = _apart(xp, surface, tips, chosen)
     out = xp.sum(apart * n[:, None], axis=2)
     across = apart[..., 1] * n[:, None, 0] - apart[..., 0] * n[:, None, 1]
-    R, far = (xp.asarray(x, tips.dtype) for x in (surface.radius, _FAR))
+    R, far = (xp.asarray(x, tips.dtype) for x in (surface.radius, _OUT_OF_REACH))
     square = R**2 - across**2
     is_under = square > (0.01 * R) ** 2
     wall = out - xp.sqrt(xp.where(is_under, square, 1.0))
@@ -320,25 +317,19 @@ def _depths(
     beside = apart[..., 0] ** 2 + apart[..., 1] ** 2
     is_beside = beside > R**2
     beside = xp.sqrt(xp.where(is_beside, beside, R**2)) - R
-    floor = out + xp.asarray(_RIM, tips.dtype) * beside
+    floor = out + xp.asarray(_RIM_SLOPE, tips.dtype) * beside
     return xp.where(xp.asarray(surface.is_wall)[:, None], wall, floor)
 
 
-class _SurfaceEnds(NamedTuple):
-    """Ends of rays that are surface.
+def _surface_ends(
+    stock: Stock, family: int, sides: tuple[int, ...]
+) -> tuple[Float[np.ndarray, "end 3"], Float[np.ndarray, " end"]]:
+    """Ends of a family that a pose cut, and upright ones from before.
 
-    Attributes:
-        points: Where they are [m], shape (end, 3).
-        cut_by: When they were cut [tooth period], shape (end,); negative for those that
-            were there before.
+    Returns:
+        Places of the ends [m], shape (end, 3), and times of their cut [tooth period],
+        shape (end,); negative for those that were there before.
     """
-
-    points: Float[np.ndarray, "end 3"]
-    cut_by: Float[np.ndarray, " end"]
-
-
-def _surface_ends(stock: Stock, family: int, sides: tuple[int, ...]) -> _SurfaceEnds:
-    """Return the ends of a family that a pose cut, and upright ones from before."""
     rays = stock.families[family]
     ends, cut_by = np.asarray(rays.ends, np.float64), np.asarray(rays.poses)
     is_kept = (cut_by >= 0) | (family == 2)
@@ -350,18 +341,18 @@ def _surface_ends(stock: Stock, family: int, sides: tuple[int, ...]) -> _Surface
     points[:, family] = ends[u, v, side, slot]
     for axis, line in (((family + 1) % 3, u), ((family + 2) % 3, v)):
         points[:, axis] = origin[axis] + line * stock.spacing
-    return _SurfaceEnds(points, cut_by[u, v, side, slot] / Rays.TICKS)
+    return points, cut_by[u, v, side, slot] / Rays.TICKS
 
 
-class _SurfacePoints(NamedTuple):
+class _SurfacePoints(eqx.Module):
     """Points of a surface.
 
     Attributes:
-        points: Where they are [m], shape (point, 3).
+        points: Places [m], shape (point, 3).
         normals: Unit normals, shape (point, 3).
-        cut_by: When they were cut [tooth period], shape (point,); NaN where that makes
+        cut_by: Times of their cut [tooth period], shape (point,); NaN where that makes
             no difference.
-        rise: How far above them they may be surface too [m], shape (point,).
+        rise: Height above them that may be surface too [m], shape (point,).
     """
 
     points: Float[np.ndarray, "point 3"]
@@ -370,38 +361,37 @@ class _SurfacePoints(NamedTuple):
     rise: Float[np.ndarray, " point"]
 
     def decimated(self) -> "_SurfacePoints":
-        """Return so many of the points as a surface has of a kind."""
-        return self.subset(_evenly_chosen(np.arange(len(self.points)), _POINTS))
+        """As many of the points as a surface has of a kind."""
+        return self.subset(_evenly_chosen(np.arange(len(self.points)), _MAX_POINTS))
 
-    def subset(self, few: Int[np.ndarray, " few"]) -> "_SurfacePoints":
-        """Return some of the points."""
-        return _SurfacePoints(*(each[few] for each in self))
+    def subset(self, chosen: Int[np.ndarray, " chosen"]) -> "_SurfacePoints":
+        """Some of the points."""
+        return jax.tree.map(lambda x: x[chosen], self)
 
     def settled(
         self, tips: Float[np.ndarray, "step 3"], radius: float
     ) -> "_SurfacePoints":
-        """Return the points risen, but for those over which the desired path cuts."""
-        found = self.points.copy()
-        for p, n, rise in zip(found, self.normals, self.rise, strict=True):
+        """Points risen, but for those over which the desired path cuts."""
+        risen = self.points.copy()
+        for p, n, rise in zip(risen, self.normals, self.rise, strict=True):
             p[2] += rise
-            if np.any(wall_depths(p, n, tips, radius) < -_NEAR):
+            if np.any(wall_depths(p, n, tips, radius) < -_TOUCHING_DEPTH):
                 p[2] -= rise
-        return self._replace(points=found)
+        return dataclasses.replace(self, points=risen)
 
 
 def _wall_points(
     stock: Stock, tips: Float[np.ndarray, "step 3"], radius: float
 ) -> _SurfacePoints:
-    """Return points that the tool's side cut.
+    """Points that the tool's side cut.
 
     Of points above each other on a wall an upright tool leaves the highest the deepest
     cut, by all passes, and the lowest the least, by those that go down to it: the two
     stand for all. The lowest is half a spacing above the tip, so that a tip that lifts
     still cuts it.
     """
-    found = [_surface_ends(stock, family, (0, 1)) for family in (0, 1)]
-    points = np.concatenate([ends.points for ends in found])
-    cut_by = np.concatenate([ends.cut_by for ends in found])
+    ends = [_surface_ends(stock, family, (0, 1)) for family in (0, 1)]
+    points, cut_by = (np.concatenate(each) for each in zip(*ends, strict=True))
     rows = np.arange(len(tips))
     cutting = np.stack([np.interp(cut_by, rows, tips[:, i]) for i in range(3)], axis=1)
     normals = (cutting - points) / radius
@@ -425,10 +415,9 @@ def _wall_points(
 def _floor_points(
     stock: Stock, tips: Float[np.ndarray, "step 3"], radius: float, reach: float
 ) -> _SurfacePoints:
-    """Return points that the tool's bottom cut, or could cut.
+    """Points that the tool's bottom cut, or could cut.
 
-    What an earlier job has left is a part of the surface, too, where the tool passes
-    over it.
+    The surface that an earlier job has left counts, too, where the tool passes over it.
     """
     from scipy.spatial import KDTree
 
@@ -439,30 +428,17 @@ def _floor_points(
     points = points[(cut_by >= 0) | np.isfinite(near)]
     upward = np.tile(np.array([0.0, 0.0, 1.0]), (len(points), 1))
     # The bottom is as deep at any instant, but for what lifts in a period.
-    some = np.full(len(points), np.nan)
-    return _SurfacePoints(points, upward, some, np.zeros(len(points)))
+    any_time = np.full(len(points), np.nan)
+    return _SurfacePoints(points, upward, any_time, np.zeros(len(points)))
 
 
 def _evenly_chosen(
     places: Int[np.ndarray, " many"], most: int
 ) -> Int[np.ndarray, " few"]:
-    """Return evenly chosen places, not more than so many and at least one."""
+    """Evenly chosen places, at most so many and at least one."""
     if len(places) <= most:
         return places
     return places[np.linspace(0, len(places) - 1, max(1, most)).astype(int)]
-
-
-def _wall_poses(
-    walls: _SurfacePoints,
-    tips: Float[np.ndarray, "step 3"],
-    radius: float,
-    reach: float,
-) -> list[Int[np.ndarray, " pose"]]:
-    """Return the poses that may cut each wall point deepest."""
-    found = []
-    for p, n in zip(walls.points, walls.normals, strict=True):
-        found.append(np.flatnonzero(wall_depths(p, n, tips, radius) < reach))
-    return found
 
 
 def wall_depths(
@@ -471,7 +447,14 @@ def wall_depths(
     tips: Float[np.ndarray, "step 3"],
     radius: float,
 ) -> Float[np.ndarray, " step"]:
-    """Return how far out of a wall point each pose cuts, infinite where it does not."""
+    """Distance out of a wall point at which each pose cuts [m], infinite if it cannot.
+
+    Args:
+        p: The point [m].
+        n: Unit normal of the wall there.
+        tips: Tips of the poses [m], shape (step, 3).
+        radius: Radius of the tool [m].
+    """
     apart = tips - p
     out = apart @ n
     across = apart[:, 1] * n[0] - apart[:, 0] * n[1]
@@ -487,23 +470,18 @@ def _floor_poses(
     radius: float,
     reach: float,
 ) -> list[Int[np.ndarray, " pose"]]:
-    """Return the poses whose bottom covers each point or may, if one is sure to.
+    """Poses whose bottom covers each point or may, if one is sure to.
 
     A pose that stands beside a point and would reach far below it cuts a deeper step:
     its wall there is another point.
     """
-    found = []
+    poses = []
     for p in points:
         off = np.hypot(tips[:, 0] - p[0], tips[:, 1] - p[1])
         up = tips[:, 2] - p[2]
         is_sure = np.any((up < reach) & (off < radius - reach))
-        may = (off < radius) | (up + _RIM * (off - radius) > -SAME_DEPTH)
-        found.append(
+        may = (off < radius) | (up + _RIM_SLOPE * (off - radius) > -SAME_DEPTH)
+        poses.append(
             np.flatnonzero(is_sure & may & (up < reach) & (off < radius + reach))
         )
-    return found
-
-
-def _filled(rows: Int[np.ndarray, " pose"], width: int) -> Int[np.ndarray, " wide"]:
-    """Return rows of one width, each about as often as the others, in their order."""
-    return rows[np.arange(width) * rows.size // width].astype(np.int32)
+    return poses

@@ -5,8 +5,7 @@ To stay in the cut takes one pose that is deep enough: a segment holds it for th
 whose deepest pose, on the desired path, is among its rows.
 """
 
-from typing import NamedTuple
-
+import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -16,7 +15,7 @@ from .finished_surface import SAME_DEPTH, FinishedSurface
 from .surface_limits import SurfaceBounds
 
 
-class BoundedRows(NamedTuple):
+class BoundedRows(eqx.Module):
     """Rows of a segment in which bounds of the surface are held.
 
     Attributes:
@@ -38,7 +37,7 @@ def window_bounds(
     shift: int,
     count: int,
 ) -> SurfaceBounds:
-    """Return the bounds of the points that the rows of a segment cut.
+    """Bounds of the points that the rows of a segment cut, on its motion.
 
     Args:
         bounds: Bounds of the whole surface.
@@ -49,12 +48,9 @@ def window_bounds(
         count: Number of points to return, at least as many as are cut; those that are
             too many are free. All segments then have the same shapes.
 
-    Returns:
-        The bounds, on the motion of the segment.
-
     **Differentiability**: none, a host function.
     """
-    first, hop, end = rows
+    first, hop, end = rows.first, rows.hop, rows.end
     surface = bounds.surface
     poses = np.asarray(surface.poses)
     # A point that only the poses before the next segment can decide is decided here.
@@ -93,7 +89,7 @@ def window_bounds(
 def cut_points(
     bounds: SurfaceBounds, first: int, end: int
 ) -> Bool[np.ndarray, " point"]:
-    """Return which points the poses of some rows may cut, shape (point,).
+    """True at points that the poses of some rows may cut, shape (point,).
 
     **Differentiability**: none, a host function.
     """
@@ -104,7 +100,7 @@ def cut_points(
 def deepest_rows(
     bounds: SurfaceBounds, desired: FloatRows3
 ) -> Int[np.ndarray, " point"]:
-    """Return the row whose desired pose is the deepest at each point, shape (point,).
+    """Row whose desired pose is the deepest at each point, shape (point,).
 
     Of rows as deep the nearest: a rim may end short of the point on the actual path.
 
@@ -120,7 +116,7 @@ def deepest_rows(
 
 
 def keeps_bounds(bounds: SurfaceBounds, errors: Float[np.ndarray, " point"]) -> bool:
-    """Tell whether errors of the surface keep the bounds, but for rounding.
+    """True if errors of the surface keep the bounds, but for rounding.
 
     **Differentiability**: none, a host function.
     """

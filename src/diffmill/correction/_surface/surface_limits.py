@@ -11,6 +11,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..._moving_rows import step_lengths
 from ..._types import FloatRows3
 from ...workpiece import Stock
 from .._core.problem import Motion
@@ -18,9 +19,9 @@ from .._spline.command_limits import InfeasibleLimit, LinearLimits
 from .finished_surface import FinishedSurface, wall_depths
 
 # Share of a layer that may be left.
-_LEFT = 0.9
+_LEFT_SHARE = 0.9
 # A thinner layer is no cut [m].
-_THIN = 1e-6
+_LEAST_LAYER = 1e-6
 # Rows within this share of a limit stand at it.
 _AT_LIMIT = 1e-2
 
@@ -43,14 +44,14 @@ class SurfaceBounds(eqx.Module):
     gouge: float = eqx.field(static=True)
 
     def errors(self, motion: Motion) -> Float[Array, " point"]:
-        """Return the errors of the surface that a motion leaves [m].
+        """Errors of the surface that a motion leaves [m], shape (point,).
 
         **Differentiability**: that of `FinishedSurface.errors`.
         """
         return self.surface.errors(motion.actual)
 
     def excess(self, motion: Motion) -> float:
-        """Return how far the worst point is out of its bounds [m]; 0 if none is.
+        """Distance of the worst point to its bounds [m]; 0 if all are within.
 
         Infinite where the motion is not finite.
 
@@ -70,16 +71,13 @@ class SurfaceBounds(eqx.Module):
         gouge: float = np.inf,
         layers: PerPoint | None = None,
     ) -> "SurfaceBounds":
-        """Return bounds of a surface.
+        """Bounds of a surface.
 
         Args:
             surface: The ideal surface.
             gouge: Largest depth of a cut into the ideal part [m].
             layers: What `SurfaceBounds.layer_thickness` returned, to stay in the cut;
                 None to be free to leave it.
-
-        Returns:
-            The bounds.
 
         Raises:
             ValueError: The gouge limit is not positive.
@@ -91,14 +89,14 @@ class SurfaceBounds(eqx.Module):
         count = len(surface.points)
         upper = np.full(count, np.inf)
         if layers is not None:
-            upper = np.where(layers > _THIN, _LEFT * layers, np.inf)
+            upper = np.where(layers > _LEAST_LAYER, _LEFT_SHARE * layers, np.inf)
         return cls(surface, np.full(count, -float(gouge)), upper, float(gouge))
 
     @staticmethod
     def layer_thickness(
         surface: FinishedSurface, raw: Stock, desired: FloatRows3
     ) -> PerPoint:
-        """Return how thick a layer the finishing pass takes at each point.
+        """Thickness of the layer that the finishing pass takes [m], shape (point,).
 
         The layer reaches from the point along its normal to where an earlier pass has
         been, or to the raw surface. A pass is earlier if a diameter of travel or more
@@ -109,18 +107,18 @@ class SurfaceBounds(eqx.Module):
             raw: The stock before the program.
             desired: Tip positions of the program [m], shape (step, 3).
 
-        Returns:
-            Thickness [m], shape (point,).
-
         **Differentiability**: none, a host function.
         """
         tips, R = np.asarray(desired, np.float64), float(surface.radius)
-        travel = np.concatenate(
-            [[0.0], np.cumsum(np.linalg.norm(np.diff(tips, axis=0), axis=1))]
-        )
+        travel = np.cumsum(step_lengths(tips))
         thickness = _raw_thickness(surface, raw)
         for i, (p, n) in enumerate(zip(surface.points, surface.normals, strict=True)):
-            depth = _depths(tips, p, n, R, bool(surface.is_wall[i]))
+            # Distance along n at which each pose begins to cut.
+            if surface.is_wall[i]:
+                depth = wall_depths(p, n, tips, R)
+            else:
+                covers = np.hypot(tips[:, 0] - p[0], tips[:, 1] - p[1]) < R
+                depth = np.where(covers, tips[:, 2] - p[2], np.inf)
             finishing = int(np.argmax(depth <= depth.min() + 1e-9))
             earlier = depth[travel < travel[finishing] - 2 * R]
             if earlier.size:
@@ -128,22 +126,11 @@ class SurfaceBounds(eqx.Module):
         return thickness
 
 
-def _depths(
-    tips: np.ndarray, p: np.ndarray, n: np.ndarray, R: float, is_wall: bool
-) -> np.ndarray:
-    """Return where along n each pose begins to cut; far where it does not."""
-    if is_wall:
-        return wall_depths(p, n, tips, R)
-    apart = tips - p
-    covers = np.hypot(apart[:, 0], apart[:, 1]) < R
-    return np.where(covers, apart[:, 2], np.inf)
-
-
 def _raw_thickness(surface: FinishedSurface, raw: Stock) -> PerPoint:
-    """Return how far the raw material reaches from each point along its normal."""
+    """Thickness of the raw material from each point along its normal [m], (point,)."""
     points, normals = (np.asarray(x) for x in (surface.points, surface.normals))
     origin = np.asarray(raw.origin)
-    found = np.zeros(len(points))
+    thickness = np.zeros(len(points))
     for i, (p, n) in enumerate(zip(points, normals, strict=True)):
         axis = int(np.argmax(np.abs(n)))
         ends = np.asarray(raw.families[axis].ends)
@@ -158,8 +145,8 @@ def _raw_thickness(surface: FinishedSurface, raw: Stock) -> PerPoint:
             slot = int(np.argmax(holds))
             far = high[slot] - p[axis] if n[axis] > 0 else p[axis] - low[slot]
             # Across the layer, if the raw surface is parallel to the ideal one.
-            found[i] = max(0.0, float(far) * abs(n[axis]))
-    return found
+            thickness[i] = max(0.0, float(far) * abs(n[axis]))
+    return thickness
 
 
 def refusal(
@@ -169,7 +156,7 @@ def refusal(
     max_offset: float,
     limits: Sequence[LinearLimits],
 ) -> InfeasibleLimit:
-    """Return why the bounds cannot be kept: which, where, by how much, and what blocks.
+    """Error of bounds that cannot be kept: which, where, by how much, what blocks.
 
     Args:
         bounds: The bounds.
@@ -178,9 +165,6 @@ def refusal(
         coefficients: Coefficients of that command.
         max_offset: Their bound.
         limits: Their limits.
-
-    Returns:
-        The exception to raise.
 
     **Differentiability**: none, a host function.
     """
@@ -210,7 +194,7 @@ def refusal(
 def _blocking(
     coefficients: np.ndarray, max_offset: float, limits: Sequence[LinearLimits]
 ) -> str:
-    """Return what keeps a command from going further."""
+    """Sentence about the limits that keep a command from going further."""
     share = 1 - _AT_LIMIT
     blocking = []
     count = int(np.sum(np.abs(coefficients) >= share * max_offset))

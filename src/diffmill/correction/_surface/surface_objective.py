@@ -38,21 +38,21 @@ class SurfaceObjective(AbstractObjective):
     def errors(
         self, problem: Problem, motion: Motion, lag_weight: RealScalarLike
     ) -> Float[Array, " error"]:
-        """Return the errors of the points, and the whole deviation for its lag.
+        """Errors of the points, and the whole deviation for its lag [m].
 
         **Differentiability**: that of `FinishedSurface.errors`; kink at the band.
         """
         error = self.surface.errors(motion.actual)
         error = deadband(error[:, None], self.tolerance)[:, 0]
         error = error * jnp.sqrt(self._weights(jnp, error.dtype))
-        rest = deviation_of(problem, motion) * row_shares(problem, error.dtype)[:, None]
-        rest = jnp.asarray(lag_weight, error.dtype) * rest
-        return jnp.concatenate([error, rest.reshape(-1)])
+        away = deviation_of(problem, motion) * row_shares(problem, error.dtype)[:, None]
+        away = jnp.asarray(lag_weight, error.dtype) * away
+        return jnp.concatenate([error, away.reshape(-1)])
 
     def for_step(
         self, problem: Problem, motion: Motion, lag_weight: RealScalarLike
     ) -> "AbstractObjective":
-        """Return what the poses over a point leave if each moves by the point's error.
+        """Objective of moves by which the poses over a point take away its error.
 
         Of the poses over a point the deepest alone leaves an error. If it alone came
         out in a step, the next one would leave it instead. So those about as deep
@@ -84,7 +84,7 @@ class SurfaceObjective(AbstractObjective):
         return _PoseObjective.of(curvature, gradient, actual)
 
     def _weights(self, xp: ModuleType, dtype: Any) -> Any:
-        """Return the shares of the points in the mean square, in NumPy or JAX."""
+        """Shares of the points in the mean square, in NumPy or JAX, (point,)."""
         is_wall = xp.asarray(self.surface.is_wall)
         counts = 1.0 if self.shares is None else self.shares
         share = xp.asarray(counts, dtype) * xp.ones(is_wall.shape, dtype)
@@ -99,7 +99,7 @@ class _PoseObjective(AbstractObjective):
 
     Attributes:
         roots: Roots of how much each direction of a tip counts, shape (step, 3, 3).
-        error: What is to go away by the move [m], in the roots' directions,
+        error: Errors that the move is to take away [m], in the roots' directions,
             shape (step, 3).
         at: Tips from where they move [m], shape (step, 3).
     """
@@ -111,14 +111,14 @@ class _PoseObjective(AbstractObjective):
     def errors(
         self, problem: Problem, motion: Motion, lag_weight: RealScalarLike
     ) -> Float[Array, " error"]:
-        """Return what is left of the errors after a move.
+        """Errors that a move leaves [m], in the roots' directions, flat.
 
         **Differentiability**: smooth, linear.
         """
         del problem, lag_weight
         moved = motion.actual - jnp.asarray(self.at)
-        left = jnp.einsum("sij,sj->si", jnp.asarray(self.roots), moved)
-        return (left + jnp.asarray(self.error)).reshape(-1)
+        change = jnp.einsum("sij,sj->si", jnp.asarray(self.roots), moved)
+        return (change + jnp.asarray(self.error)).reshape(-1)
 
     @classmethod
     def of(
@@ -127,13 +127,13 @@ class _PoseObjective(AbstractObjective):
         gradient: Float[np.ndarray, "step 3"],
         at: FloatRows3,
     ) -> "_PoseObjective":
-        """Return the objective whose half square has a curvature and a gradient."""
+        """Objective whose half square has a curvature and a gradient."""
         size, axes = np.linalg.eigh(curvature)
         root = np.sqrt(np.maximum(size, 0.0))
         # No slope at all to rounding: no pull either.
         is_there = root > 1e-6 * root.max(initial=0.0)
-        left = np.einsum("sji,sj->si", axes, gradient)
-        left = np.where(is_there, left / np.where(is_there, root, 1.0), 0.0)
+        error = np.einsum("sji,sj->si", axes, gradient)
+        error = np.where(is_there, error / np.where(is_there, root, 1.0), 0.0)
         roots = np.where(is_there, root, 0.0)[:, :, None] * np.swapaxes(axes, 1, 2)
         dtype = np.asarray(at).dtype
-        return cls(roots.astype(dtype), left.astype(dtype), np.asarray(at))
+        return cls(roots.astype(dtype), error.astype(dtype), np.asarray(at))
