@@ -296,11 +296,12 @@ def keys(table: ast.ClassDef) -> list[ast.AnnAssign]:
 
 
 def place(table: ast.ClassDef) -> tuple[int, bool]:
-    """Return what sorts tables: as `TABLES` does, parts of one behind it."""
+    """Return what sorts tables: as `TABLES` does, parts of one behind it, others last."""
     heading = (ast.get_docstring(table) or "").split("\n")[0]
     found = re.search(r"\[+(\w+)", heading)
     name = found[1] if found else ""
-    return TABLES.index(name), f"[{name}]`" not in heading
+    index = TABLES.index(name) if name in TABLES else len(TABLES)
+    return index, f"[{name}]`" not in heading
 
 
 def kind(annotation: ast.expr) -> Kind:

@@ -83,12 +83,12 @@ def _tables(file: pathlib.Path) -> dict[str, object]:
 def _describe_identification(file: pathlib.Path, *, allow_outside: bool) -> list[str]:
     configure_jax()
     from ..config import load_identification
-    from ._identify.reading import study_lines
+    from ._identify.identify import in_words
 
     study = load_identification(file, allow_outside=allow_outside)
     return [
         f"{file}: a file for `diffmill identify` without faults",
-        *study_lines(study),
+        *in_words(study).reading(study),
     ]
 
 

@@ -12,17 +12,13 @@ if TYPE_CHECKING:
     from ._check.tables import check_tables as check_tables
     from ._job_program import JobProgram as JobProgram
     from ._load_campaign import Campaign as Campaign, load_campaign as load_campaign
-    from ._load_identification import (
-        Study as Study,
-        load_identification as load_identification,
-    )
+    from ._load_identification import load_identification as load_identification
     from ._load_job import job_precision as job_precision, load_job as load_job
 
 # Where each public name lives.
 _NAMES = {
     "Campaign": "._load_campaign",
     "JobProgram": "._job_program",
-    "Study": "._load_identification",
     "check_tables": "._check.tables",
     "job_precision": "._load_job",
     "load_campaign": "._load_campaign",

@@ -73,4 +73,4 @@ from ._study.modes import (
     RingDown as RingDown,
 )
 from ._study.records import ForceRecord as ForceRecord, ForceSettings as ForceSettings
-from ._study.study import StudyError as StudyError
+from ._study.study import Study as Study, StudyError as StudyError

@@ -1,15 +1,16 @@
-"""Bandwidth and dead time of a controller: what is said of them, and a figure."""
+"""Bandwidth and dead time of a controller: report and figure."""
 
 import functools
 
 from ...identification import ControllerStudy
 from ...viz import plot_prediction
-from .digits import Rounded
+from .reading import note_lines, range_text
 from .report import Report, all_noted, noted
+from .toml_snippets import Rounded
 
 
-def report_controller(study: ControllerStudy, found: ControllerStudy.Fit) -> Report:
-    """Return the report of a controller.
+def report(study: ControllerStudy, found: ControllerStudy.Fit) -> Report:
+    """Report of a controller.
 
     Args:
         study: The paths in the air.
@@ -49,7 +50,7 @@ def report_controller(study: ControllerStudy, found: ControllerStudy.Fit) -> Rep
             "warning",
         )
     facts = {
-        "kind": "controller",
+        "kind": study.kind,
         "bandwidth_Hz": found.bandwidth,
         "damping_ratio": zeta,
         "dead_time_s": found.dead_time,
@@ -68,3 +69,23 @@ def report_controller(study: ControllerStudy, found: ControllerStudy.Fit) -> Rep
         title="actual less commanded, and by the controller found",
     )
     return Report(lines, toml, facts, {"controller": draw})
+
+
+def reading(study: ControllerStudy) -> list[str]:
+    """Commanded and actual paths in words, line by line."""
+    rows, step = study.is_recorded, study.time_step
+    lines = [
+        f"  {int(rows.sum())} rows every {step * 1e3:.3g} ms, "
+        f"{step * max(len(rows) - 1, 0):.4g} s"
+    ]
+    for what, tips in (
+        ("commanded", study.commanded),
+        ("actual", study.actual[rows]),
+        ("actual less commanded", (study.actual - study.commanded)[rows]),
+    ):
+        parts = [
+            f"{axis} {range_text(values, 'm')}"
+            for axis, values in zip("xyz", tips.T, strict=True)
+        ]
+        lines.append(f"    {what}: {', '.join(parts)}")
+    return lines + note_lines(study.notes)

@@ -1,4 +1,4 @@
-"""Parameters from a record of a robot's cut: what is said of them, and figures."""
+"""Parameters from a record of a robot's cut: report and figures."""
 
 import dataclasses
 import functools
@@ -9,10 +9,9 @@ import numpy as np
 
 from ...cutting import AbstractForceLaw, KienzleLaw
 from ...identification import CoupledStudy
-from ...robot import Robot
 from ...viz import plot_correlation, plot_force_fit
-from .report import Report, all_noted, noted
-from .text import uncertainty_remark
+from .reading import channel_lines, note_lines
+from .report import Report, all_noted, noted, uncertainty_remark
 from .toml_snippets import doubted, force_toml, joints_toml
 
 # Joints that `[robot.bending_tool]` and `[robot.flange_spring]` add to those of a job.
@@ -27,15 +26,15 @@ _SHOWN = {"force": ("F", "N", 1.0), "deviation": ("d", "\u00b5m", 1e6)}
 _ROWS = 60
 
 
-def report_coupled(study: CoupledStudy, fit: CoupledStudy.Fit) -> Report:
-    """Return the report of parameters of arm and cut.
+def report(study: CoupledStudy, fit: CoupledStudy.Fit) -> Report:
+    """Report of parameters of arm and cut.
 
     Args:
         study: The record and its job.
         fit: Their fit.
     """
     facts = {
-        "kind": "coupled",
+        "kind": study.kind,
         "parameters_SI": fit.parameters,
         "standard_errors_SI": fit.standard_errors,
         "identifiable": fit.identifiable,
@@ -51,8 +50,19 @@ def report_coupled(study: CoupledStudy, fit: CoupledStudy.Fit) -> Report:
     return Report(_lines(study, fit), _toml(study, fit), facts, _figures(study, fit))
 
 
+def reading(study: CoupledStudy) -> list[str]:
+    """Record in words, line by line."""
+    first, last = float(study.time[0]), float(study.time[-1])
+    return [
+        f"  {len(study.time)} rows from {first:.4g} to {last:.4g} s on the clock "
+        "of the job",
+        *channel_lines(study.channels),
+        *note_lines(study.notes),
+    ]
+
+
 def _lines(study: CoupledStudy, fit: CoupledStudy.Fit) -> list[str]:
-    """Return parameters and how far to trust them."""
+    """Parameters with their errors and doubts."""
     lines = all_noted(study.notes)
     width = 2 + max(len(name) for name in fit.names)
     lines.append(f"{'parameter':{width}}{'value':>12}{'std. error':>12}{'given x':>10}")
@@ -70,10 +80,14 @@ def _lines(study: CoupledStudy, fit: CoupledStudy.Fit) -> list[str]:
 
 
 def _toml(study: CoupledStudy, fit: CoupledStudy.Fit) -> list[str]:
-    """Return the tables for a job."""
+    """Tables for a job."""
     robot, lines = study.job.robot, []
     assert robot is not None
-    joints, relative, remarks, behind = _listed_joints(robot), {}, {}, []
+    relative, remarks, behind = {}, {}, []
+    # The lists of `[robot]` do not have the joints that its springs add.
+    pairs = zip(robot.joint_names, robot.is_virtual, strict=True)
+    added_count = sum(is_free and name in _ADDED for name, is_free in pairs)
+    joints = robot.joint_names[: robot.joint_count - added_count]
     for letter, key, word in (
         ("K", "joint_stiffness", "stiffness"),
         ("D", "joint_damping", "damping"),
@@ -100,7 +114,9 @@ def _toml(study: CoupledStudy, fit: CoupledStudy.Fit) -> list[str]:
             f"# {', '.join(behind)}: see summary.txt; they follow from the keys of "
             "[robot.bending_tool] and [robot.flange_spring]"
         )
-    names = _coefficient_names(study.job.law)
+    # A job states the coefficients of its law under these names.
+    fields = [field.name for field in dataclasses.fields(study.job.law)]
+    names = [name for name in fields if name.startswith(("K_", "m_"))]
     if fitted := [name for name in names if name in fit.parameters]:
         lines += ["", *_law_toml(study.job.law, fit, names)]
         shares = [
@@ -122,23 +138,10 @@ def _toml(study: CoupledStudy, fit: CoupledStudy.Fit) -> list[str]:
     return lines or ["# Nothing is identifiable; see summary.txt."]
 
 
-def _listed_joints(robot: Robot) -> tuple[str, ...]:
-    """Return the joints that the lists of `[robot]` are of."""
-    pairs = zip(robot.joint_names, robot.is_virtual, strict=True)
-    is_added = [is_free and name in _ADDED for name, is_free in pairs]
-    return robot.joint_names[: robot.joint_count - sum(is_added)]
-
-
-def _coefficient_names(law: AbstractForceLaw) -> list[str]:
-    """Return the names under which a job states the coefficients of its law."""
-    fields = [field.name for field in dataclasses.fields(law)]
-    return [name for name in fields if name.startswith(("K_", "m_"))]
-
-
 def _law_toml(
     law: AbstractForceLaw, fit: CoupledStudy.Fit, names: list[str]
 ) -> list[str]:
-    """Return the lines of `[force]`: all of it, what was not fitted as in the job."""
+    """Lines of `[force]`; coefficients that were not fitted are those of the job."""
     fitted = [name for name in names if name in fit.parameters]
     given = {n: float(np.mean(getattr(law, n))) for n in names if n not in fitted}
     values = {n: given[n] if n in given else fit.parameters[n] for n in names}
@@ -157,7 +160,7 @@ def _law_toml(
 def _figures(
     study: CoupledStudy, fit: CoupledStudy.Fit
 ) -> dict[str, Callable[[], Any]]:
-    """Return what draws the figures."""
+    """Functions that draw the figures."""
     turn = float(study.job.tooth_period) * study.job.cutter.flute_count
     spacing = float(np.median(np.diff(study.time)))
     figures: dict[str, Callable[[], Any]] = {

@@ -1,4 +1,4 @@
-"""Sentences of what a record shows to be wrong with it."""
+"""Diagnoses of a record in words."""
 
 from collections.abc import Sequence
 
@@ -13,7 +13,7 @@ def diagnosis_lines(
     axes: Sequence[str] = ("x", "y", "z"),
     records: Sequence[str] = (),
 ) -> list[str]:
-    """Return diagnoses as lines; nothing was changed for any of them.
+    """Lines of diagnoses; nothing was changed for any of them.
 
     Args:
         diagnoses: The diagnoses.
@@ -30,7 +30,7 @@ def diagnosis_lines(
 
 
 def diagnosis_facts(diagnoses: Sequence[Diagnosis]) -> list[dict[str, object]]:
-    """Return diagnoses for `identified.json`."""
+    """Diagnoses for `identified.json`."""
     return [
         {"code": d.code, "record": d.record, "values_SI": dict(d.values)}
         for d in diagnoses
@@ -38,7 +38,7 @@ def diagnosis_facts(diagnoses: Sequence[Diagnosis]) -> list[dict[str, object]]:
 
 
 def tare_facts(records: Sequence[ForceRecord]) -> list[dict[str, object] | None]:
-    """Return offset, drift and noise of records for `identified.json`."""
+    """Offset, drift and noise of records for `identified.json`."""
     return [
         None
         if one.tare is None
@@ -53,7 +53,7 @@ def tare_facts(records: Sequence[ForceRecord]) -> list[dict[str, object] | None]
 
 
 def diagnosis_title(one: Diagnosis) -> str:
-    """Return a diagnosis in few words."""
+    """Diagnosis in few words."""
     return _TITLES[one.code]
 
 
@@ -134,7 +134,7 @@ def _spindle(v: dict[str, float], axes: Sequence[str]) -> str:
 
 
 def _recorded(v: dict[str, float], axes: Sequence[str]) -> str:
-    """Return forces of the work as they were recorded, with three digits."""
+    """Forces of the work as they were recorded, with three digits."""
     order = [axes.index(next(a for a in axes if a[-1] == name)) for name in "xyz"]
     signed = [v["xyz"[i]] * (-1 if axes[i].startswith("-") else 1) for i in order]
     return ", ".join(f"{value:.3g}" for value in signed)

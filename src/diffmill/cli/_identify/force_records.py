@@ -1,4 +1,4 @@
-"""Coefficients from whole records of forces: what is said of them, and figures."""
+"""Coefficients from whole records of forces: report and figures."""
 
 import functools
 from collections.abc import Callable
@@ -16,14 +16,20 @@ from ...viz import (
     plot_residual_spectrum,
 )
 from .diagnoses import diagnosis_facts, diagnosis_lines, tare_facts
+from .reading import reading_lines
 from .registration import axes_lines, record_lines, tooth_lines
-from .report import Report, all_noted, noted
-from .text import coefficient_lines, correlation_lines
+from .report import (
+    Report,
+    all_noted,
+    coefficient_lines,
+    correlation_lines,
+    noted,
+)
 from .toml_snippets import NOISE_ALONE, cutter_toml, fitted_force_toml
 
 
-def report_records(study: ForceRecordStudy, found: ForceRecordStudy.Fit) -> Report:
-    """Return the report of coefficients from records.
+def report(study: ForceRecordStudy, found: ForceRecordStudy.Fit) -> Report:
+    """Report of coefficients from records.
 
     Args:
         study: The records.
@@ -48,8 +54,13 @@ def report_records(study: ForceRecordStudy, found: ForceRecordStudy.Fit) -> Repo
     return Report(lines, toml, _facts(study, found), _figures(study, found))
 
 
+def reading(study: ForceRecordStudy) -> list[str]:
+    """Records in words, line by line."""
+    return [line for one in study.records for line in reading_lines(one)]
+
+
 def _fit_lines(study: ForceRecordStudy, found: ForceRecordStudy.Fit) -> list[str]:
-    """Return coefficients and how far to trust them."""
+    """Coefficients with their errors and doubts."""
     fit = found.fit
     names = list(fit.coefficients)
     lines = [
@@ -82,10 +93,10 @@ def _fit_lines(study: ForceRecordStudy, found: ForceRecordStudy.Fit) -> list[str
 
 
 def _facts(study: ForceRecordStudy, found: ForceRecordStudy.Fit) -> dict[str, Any]:
-    """Return the numbers for `identified.json`."""
+    """Numbers for `identified.json`."""
     fit = found.fit
     return {
-        "kind": "force_records",
+        "kind": study.kind,
         "records": [record.name for record in study.records],
         "tare": tare_facts(study.records),
         "coefficients_SI": fit.coefficients,
@@ -133,7 +144,7 @@ def _facts(study: ForceRecordStudy, found: ForceRecordStudy.Fit) -> dict[str, An
 def _figures(
     study: ForceRecordStudy, found: ForceRecordStudy.Fit
 ) -> dict[str, Callable[[], Any]]:
-    """Return what draws the figures."""
+    """Functions that draw the figures."""
     fit, draw = found.fit, functools.partial
     names = list(fit.coefficients)
     figures: dict[str, Callable[[], Any]] = {}

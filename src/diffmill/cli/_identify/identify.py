@@ -1,10 +1,11 @@
-"""`diffmill identify`: read, fit, tell, and write a folder of what was found."""
+"""`diffmill identify`: read, fit, report, and write a folder of results."""
 
+import importlib
 import json
 import math
 import pathlib
 import time
-from typing import TYPE_CHECKING, Any, assert_never
+from typing import TYPE_CHECKING, Any, Protocol, cast, runtime_checkable
 
 from ..._jax_config import configure_jax
 from ..._messages import printable
@@ -20,9 +21,7 @@ from .._session.progress import Progress
 from .report import Report
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from ...config import Study
+    from ...identification import Study
 
 
 def run_identify(
@@ -77,7 +76,7 @@ def _identify(
 
     try:
         with progress:
-            report = reported(study, progress.update)
+            report = in_words(study).report(study, study.run(progress.update))
     except StudyError as error:
         raise BadInput(str(error)) from error
     except SimulationFailed as failure:
@@ -113,49 +112,32 @@ def _identify(
     return attempts.conclude(folder)
 
 
-def reported(study: "Study", tell: "Callable[[str], None]") -> Report:
-    """Run a study; return what it found as text, job tables, numbers and figures.
+@runtime_checkable
+class KindInWords(Protocol):
+    """Module of this room with the name of a kind of identification."""
 
-    Args:
-        study: The study.
-        tell: Told what is being done.
+    def report(self, study: "Study", found: object, /) -> Report:
+        """Report of a fit.
 
-    Raises:
-        StudyError: A measurement cannot be fitted.
-        SimulationFailed: A cut could not be simulated.
-    """
-    from ...identification import (
-        ControllerStudy,
-        CoupledStudy,
-        ForceRecordStudy,
-        LoadTestStudy,
-        MeanForceStudy,
-        ModeStudy,
-    )
-    from .controller import report_controller
-    from .coupled import report_coupled
-    from .force_records import report_records
-    from .mean_forces import report_means
-    from .modal import report_modes
-    from .stiffness import report_load_tests
+        Args:
+            study: The study.
+            found: Result of its `run`.
+        """
+        ...
 
-    if isinstance(study, ControllerStudy):
-        return report_controller(study, study.run(tell))
-    if isinstance(study, CoupledStudy):
-        return report_coupled(study, study.run(tell))
-    if isinstance(study, ForceRecordStudy):
-        return report_records(study, study.run(tell))
-    if isinstance(study, LoadTestStudy):
-        return report_load_tests(study, study.run(tell))
-    if isinstance(study, MeanForceStudy):
-        return report_means(study, study.run(tell))
-    if isinstance(study, ModeStudy):
-        return report_modes(study, study.run(tell))
-    assert_never(study)
+    def reading(self, study: "Study", /) -> list[str]:
+        """Measurements of a study in words, line by line."""
+        ...
+
+
+def in_words(study: "Study") -> KindInWords:
+    """Module that reports a study: the one of its kind."""
+    module = importlib.import_module(f".{study.kind}", __package__)
+    return cast(KindInWords, module)
 
 
 def _plain(value: Any) -> Any:
-    """Return facts as JSON can hold them: numbers that are none become None."""
+    """Facts as JSON can hold them: numbers that are not finite become None."""
     if isinstance(value, dict):
         return {str(key): _plain(one) for key, one in value.items()}
     if isinstance(value, list | tuple):

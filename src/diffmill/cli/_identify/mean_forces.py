@@ -1,5 +1,6 @@
-"""Coefficients from mean forces over the feed: what is said of them, and figures."""
+"""Coefficients from mean forces over the feed: report and figures."""
 
+import dataclasses
 import functools
 
 import numpy as np
@@ -7,14 +8,27 @@ import numpy as np
 from ...identification import MeanForceStudy
 from ...viz import plot_correlation, plot_mean_forces
 from .diagnoses import diagnosis_facts, diagnosis_lines, tare_facts
-from .reading import tare_lines
-from .report import Report, all_noted, noted
-from .text import axes_text, coefficient_lines, correlation_lines, force_on_text
+from .reading import (
+    channel_lines,
+    note_lines,
+    range_text,
+    reading_lines,
+    tare_lines,
+)
+from .report import (
+    Report,
+    all_noted,
+    axes_text,
+    coefficient_lines,
+    correlation_lines,
+    force_on_text,
+    noted,
+)
 from .toml_snippets import NOISE_ALONE, fitted_force_toml
 
 
-def report_means(study: MeanForceStudy, found: MeanForceStudy.Fit) -> Report:
-    """Return the report of coefficients from mean forces.
+def report(study: MeanForceStudy, found: MeanForceStudy.Fit) -> Report:
+    """Report of coefficients from mean forces.
 
     Args:
         study: The means.
@@ -27,10 +41,19 @@ def report_means(study: MeanForceStudy, found: MeanForceStudy.Fit) -> Report:
         *diagnosis_lines(found.diagnoses, records=names),
         *_axes_lines(study, found),
         *_fit_lines(found),
-        *_amplitude_lines(study, found),
     ]
+    if found.amplitudes:
+        lines.append(
+            "amplitude at the tooth passing, not fitted [N]: predicted / measured"
+        )
+    for record, one in zip(study.records, found.amplitudes, strict=True):
+        parts = [
+            f"F{a} {p:.4g} / {m:.4g}"
+            for a, p, m in zip("xyz", one.predicted, one.measured, strict=True)
+        ]
+        lines.append(f"  {record.name}: {', '.join(parts)}")
     facts = {
-        "kind": "mean_forces",
+        "kind": study.kind,
         "records": names,
         "tare": tare_facts(study.records),
         "feed_per_tooth_m": study.feed_per_tooth,
@@ -45,7 +68,7 @@ def report_means(study: MeanForceStudy, found: MeanForceStudy.Fit) -> Report:
         "r_squared": fit.r_squared,
         "relative_uncertainty": found.relative_uncertainty,
         "left_out_N": found.predicted,
-        "amplitudes_N": [one._asdict() for one in found.amplitudes],
+        "amplitudes_N": [dataclasses.asdict(one) for one in found.amplitudes],
         "notes": study.notes,
         "diagnoses": diagnosis_facts(found.diagnoses),
     }
@@ -72,8 +95,24 @@ def report_means(study: MeanForceStudy, found: MeanForceStudy.Fit) -> Report:
     return Report(lines, fitted_force_toml(found, doubts), facts, figures)
 
 
+def reading(study: MeanForceStudy) -> list[str]:
+    """Mean forces and their records in words, line by line."""
+    lines = [line for one in study.records for line in reading_lines(one)]
+    lines.append(
+        f"  mean forces at {len(study.feed_per_tooth)} feeds, "
+        f"{range_text(study.feed_per_tooth, 'm')} per tooth"
+    )
+    lines += channel_lines(study.channels)
+    if not study.channels:
+        lines += [
+            f"    mean F{axis}: {range_text(force, 'N')}"
+            for axis, force in zip("xyz", study.mean_force.T, strict=True)
+        ]
+    return lines + note_lines(study.notes)
+
+
 def _input_lines(study: MeanForceStudy) -> list[str]:
-    """Return what the means are of."""
+    """Feeds, cut and records of the means."""
     cut = study.cut
     width = "slot"
     low, high = 1e3 * study.feed_per_tooth.min(), 1e3 * study.feed_per_tooth.max()
@@ -99,7 +138,7 @@ def _input_lines(study: MeanForceStudy) -> list[str]:
 
 
 def _axes_lines(study: MeanForceStudy, found: MeanForceStudy.Fit) -> list[str]:
-    """Return what the means say of the axes; nothing is changed by it."""
+    """Axes of the fit, and others that suit the means; nothing is changed."""
     used = found.used
     settings = study.settings
     why = "as given or recorded"
@@ -133,7 +172,7 @@ def _axes_lines(study: MeanForceStudy, found: MeanForceStudy.Fit) -> list[str]:
 
 
 def _fit_lines(found: MeanForceStudy.Fit) -> list[str]:
-    """Return coefficients and how far to trust them."""
+    """Coefficients with their errors and doubts."""
     fit, force, left = found.fit, found.force, found.predicted
     lines = [
         "",
@@ -185,17 +224,3 @@ def _fit_lines(found: MeanForceStudy.Fit) -> list[str]:
             "left out: each feed predicted by the others, off by " + ", ".join(parts)
         )
     return lines + correlation_lines(list(fit.coefficients), fit.correlation)
-
-
-def _amplitude_lines(study: MeanForceStudy, found: MeanForceStudy.Fit) -> list[str]:
-    """Return the amplitudes that the means do not show."""
-    if not found.amplitudes:
-        return []
-    lines = ["amplitude at the tooth passing, not fitted [N]: predicted / measured"]
-    for record, one in zip(study.records, found.amplitudes, strict=True):
-        parts = [
-            f"F{a} {p:.4g} / {m:.4g}"
-            for a, p, m in zip("xyz", one.predicted, one.measured, strict=True)
-        ]
-        lines.append(f"  {record.name}: {', '.join(parts)}")
-    return lines

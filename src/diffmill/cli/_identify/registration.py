@@ -12,10 +12,9 @@ from ...identification import (
     RecordRegistration,
 )
 from .diagnoses import diagnosis_lines
-from .digits import Rounded
 from .reading import tare_lines
-from .report import all_noted, noted
-from .text import axes_text, force_on_text
+from .report import all_noted, axes_text, force_on_text, noted
+from .toml_snippets import Rounded
 
 # Forces that agree less in size over a job, or overlap less of its cut, are doubted.
 _ALIKE, _COVERED = 0.8, 0.9
@@ -27,7 +26,7 @@ def tooth_lines(
     errors: Sequence[float],
     revolutions: Sequence[float],
 ) -> list[str]:
-    """Return where tooth 0 stands at the zero of a measured spindle angle.
+    """Angle of tooth 0 at the zero of a measured spindle angle, in words.
 
     Args:
         records: The records.
@@ -57,7 +56,7 @@ def tooth_lines(
 def record_lines(
     records: Sequence[ForceRecord], registrations: Sequence[RecordRegistration]
 ) -> list[str]:
-    """Return what was read, and its registration.
+    """Records and their registration in words.
 
     Args:
         records: The records.
@@ -100,7 +99,7 @@ def record_lines(
 
 
 def axes_lines(study: ForceRecordStudy, found: ForceRecordStudy.Fit) -> list[str]:
-    """Return what the records say of their axes; nothing is changed by it.
+    """Axes of the fit, and others that suit the records; nothing is changed.
 
     Args:
         study: The records, and what the file says of their axes.

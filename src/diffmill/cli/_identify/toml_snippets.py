@@ -1,6 +1,8 @@
 """Identified parameters as tables of a job file, ready to paste."""
 
+import math
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -8,8 +10,11 @@ from jaxtyping import Bool, Float
 from ...identification import ForceRecordStudy, MeanForceStudy
 from ...robot import Robot
 from .diagnoses import diagnosis_title
-from .digits import Rounded
 
+# Digits of a standard error; digits of a value at most; of one without an error.
+_OF_ERROR, _MOST, _UNKNOWN = 2, 6, 4
+# Whole numbers of more digits, and decimals beyond these, take an exponent.
+_WHOLE, _DECIMALS = 8, 8
 # Largest uncertainty that the table takes.
 _LARGEST = 0.999
 # The simulated chip is off by so much of itself, see docs/verified.md: the noise of a
@@ -25,12 +30,57 @@ _FORCE_REMARK = (
 )
 
 
+class Rounded(NamedTuple):
+    """A number and its standard error as text, with the same last digit.
+
+    Attributes:
+        value: The number.
+        error: Its standard error; "unknown" if that is not finite.
+    """
+
+    value: str
+    error: str
+
+    @classmethod
+    def of(cls, value: float, error: float) -> "Rounded":
+        """Round a number to two digits of its standard error, to six at most.
+
+        Args:
+            value: The number, finite.
+            error: Its standard error; not finite if it is not known, which leaves the
+                number four digits.
+        """
+        size = _exponent(value) + 1
+        if not math.isfinite(error):
+            return cls(_fixed(value, size - _UNKNOWN), "unknown")
+        last = size - _MOST
+        if not error > 0:
+            return cls(_fixed(value, last), "0")
+        own = _exponent(error, _OF_ERROR) + 1 - _OF_ERROR
+        return cls(_fixed(value, max(last, own)), _fixed(error, own))
+
+
+def _exponent(value: float, digits: int = _MOST) -> int:
+    """Power of ten of the first digit once rounded; 0 for zero."""
+    return int(f"{abs(value):.{digits - 1}e}".partition("e")[2]) if value else 0
+
+
+def _fixed(value: float, last: int) -> str:
+    """Text of a number down to the digit of 10 ** last."""
+    number = round(value, -last) + 0.0
+    if last > 0 and abs(number) >= 10**_WHOLE:
+        return f"{number:.{max(_exponent(number) - last, 0)}e}"
+    if -last > _DECIMALS:
+        return f"{number:.{max(_exponent(number) - last, 0)}e}"
+    return f"{number:.{max(-last, 0)}f}"
+
+
 def force_toml(
     coefficients: Mapping[str, float],
     errors: Mapping[str, float],
     identifiable: Mapping[str, bool],
 ) -> list[str]:
-    """Return the lines of `[force]`.
+    """Lines of `[force]`.
 
     Args:
         coefficients: By name [Pa, N/m, -].
@@ -39,7 +89,13 @@ def force_toml(
     """
     lines = ["[force]"]
     for name, value in coefficients.items():
-        unit, scale = _unit(name)
+        default, unit, scale = "a job needs it", "N/mm^2", 1e-6
+        if name.startswith("m_"):
+            unit, scale = "", 1.0
+        elif name.endswith("e"):
+            default, unit, scale = "left out it is 0", "N/mm", 1e-3
+        if name in ("m_r", "m_a"):
+            default = "left out it is m_t"
         text, error = f"{value * scale:.6g}", "as in the job"
         if name in errors and np.isfinite(value):
             rounded = Rounded.of(value * scale, errors[name] * scale)
@@ -51,41 +107,27 @@ def force_toml(
         lost = f"# {name}: not identifiable"
         if np.isfinite(value):
             lost += f", {text} {error} {unit}"
-        lines.append(f"{lost.rstrip()}; {_default_text(name)}")
+        lines.append(f"{lost.rstrip()}; {default}")
     return lines
 
 
-def _unit(name: str) -> tuple[str, float]:
-    """Return the unit of a coefficient and its factor from SI; "" for an exponent."""
-    if name.startswith("m_"):
-        return "", 1.0
-    return ("N/mm", 1e-3) if name.endswith("e") else ("N/mm^2", 1e-6)
-
-
-def _default_text(name: str) -> str:
-    """Return what a job makes of a coefficient that it does not state."""
-    if name in ("m_r", "m_a"):
-        return "left out it is m_t"
-    return "left out it is 0" if name.endswith("e") else "a job needs it"
-
-
 def commented(line: str, remark: str) -> str:
-    """Return a line with a comment behind it, those of a table below each other."""
+    """Line with a comment behind it; comments of a table stand below each other."""
     return f"{line:32}# {remark}"
 
 
 def doubted(lines: Sequence[str], why: str) -> list[str]:
-    """Return lines as comments below the reason why they are not to be used."""
+    """Lines as comments below the reason why they are not to be used."""
     return [f"# {why}", *(f"# {line}".rstrip() for line in lines)]
 
 
 def uncertainty_toml(key: str, relative: float, remark: str | None = None) -> list[str]:
-    """Return the lines of `[correction.uncertainty]` for a correction that is robust.
+    """Lines of `[correction.uncertainty]` for a correction that is robust.
 
     Args:
         key: "force", "stiffness" or "damping".
         relative: Standard error over the value.
-        remark: What it does not hold for, a comment above it.
+        remark: Exceptions, a comment above it.
     """
     if not np.isfinite(relative):
         return []
@@ -100,7 +142,7 @@ def uncertainty_toml(key: str, relative: float, remark: str | None = None) -> li
 
 
 def force_uncertainty_toml(relative: float) -> list[str]:
-    """Return the lines of `[correction.uncertainty]` after a fit of forces.
+    """Lines of `[correction.uncertainty]` after a fit of forces.
 
     Args:
         relative: Standard error of the force over the force, of noise alone.
@@ -110,10 +152,10 @@ def force_uncertainty_toml(relative: float) -> list[str]:
 
 
 def cutter_toml(found: ForceRecordStudy.Fit) -> list[str]:
-    """Return the lines of `[cutter]` with the run-out and diameter that were fitted.
+    """Lines of `[cutter]` with the run-out and diameter that were fitted.
 
     Args:
-        found: What the study has found; no lines if it fitted the coefficients alone.
+        found: Result of the study; no lines if it fitted the coefficients alone.
     """
     fit, lines = found.fit, []
     if "runout_x" in fit.refined:
@@ -130,7 +172,7 @@ def cutter_toml(found: ForceRecordStudy.Fit) -> list[str]:
 def _runout_toml(
     lengths: Mapping[str, float], errors: Mapping[str, float]
 ) -> list[str]:
-    """Return run-out and its angle; comments where the records do not show them."""
+    """Run-out and its angle; comments where the records do not show them."""
     x, y = lengths["runout_x"], lengths["runout_y"]
     x_error, y_error = errors["runout_x"], errors["runout_y"]
     if not np.isfinite(x) and not np.isfinite(y):
@@ -160,10 +202,10 @@ def fitted_force_toml(
     doubts: Sequence[str],
     cutter: Sequence[str] = (),
 ) -> list[str]:
-    """Return the tables after a fit of forces, as comments if they are doubtful.
+    """Tables after a fit of forces, as comments if they are doubtful.
 
     Args:
-        found: What the study has found.
+        found: Result of the study.
         doubts: Why it is doubtful, beside axes and diagnoses; the first is told.
         cutter: Lines of `[cutter]` that stand before.
     """
@@ -188,7 +230,7 @@ def joints_toml(
     errors: Float[np.ndarray, " joint"],
     identifiable: Bool[np.ndarray, " joint"],
 ) -> list[str]:
-    """Return the lines of `joint_stiffness` or `joint_damping` of `[robot]`.
+    """Lines of `joint_stiffness` or `joint_damping` of `[robot]`.
 
     Joints that are not identifiable keep the value of the model; without one the list
     cannot be written, and the lines are comments.
@@ -222,5 +264,5 @@ def joints_toml(
 
 
 def snippet(head: Sequence[str], lines: Sequence[str]) -> str:
-    """Return a text of TOML with comments at its head."""
+    """Text of TOML with comments at its head."""
     return "\n".join([*(f"# {line}" for line in head), "", *lines]) + "\n"

@@ -1,8 +1,9 @@
-"""What all parts of a file for `diffmill identify` share."""
+"""A file for `diffmill identify` that is being read."""
 
+import dataclasses
 import pathlib
 from collections.abc import Callable
-from typing import NamedTuple, TypeVar
+from typing import TypeVar
 
 from ..._job import Job
 from ..._toml import JobError
@@ -18,7 +19,8 @@ _LARGEST_RECORD = 2_000_000_000
 Built = TypeVar("Built")
 
 
-class Context(NamedTuple):
+@dataclasses.dataclass(frozen=True)
+class Context:
     """A file that is being read, with what is wrong in it.
 
     Attributes:
@@ -40,16 +42,15 @@ class Context(NamedTuple):
     cut: CutTable | None = None
 
     def file(self, name: str, key: str) -> pathlib.Path | None:
-        """Return the path of a file that is named, or None with a problem noted."""
-        context = self.with_notes([])
-        return context.file(name, key, largest=_LARGEST_RECORD)
+        """Path of a file that is named, or None with a problem noted."""
+        return self.with_notes([]).file(name, key, largest=_LARGEST_RECORD)
 
     def with_notes(self, notes: list[str]) -> FileContext:
-        """Return the context of a table that a job has, too."""
+        """Context of a table that a job has, too."""
         return FileContext(self.folder, self.allow_outside, self.problems, notes)
 
     def job(self, name: str, key: str) -> Job | None:
-        """Return a job that is named; its faults are noted once."""
+        """Job that is named; its faults are noted once."""
         path = self.file(name, key)
         if path is None:
             return None
@@ -65,14 +66,14 @@ class Context(NamedTuple):
         self,
         table: MeasuredTable,
         place: str,
-        build: Callable[[TableReader], Built],
+        build: Callable[[TableReader], Built | None],
     ) -> Built | None:
-        """Return what is made of the columns that a table names, or None.
+        """Object built from the columns that a table names, or None with faults noted.
 
         Args:
             table: Its checked entry.
             place: What a line calls the entry.
-            build: Makes it; its faults and those of the file are noted.
+            build: Builds it; its `RecordError` and the faults of the file are noted.
         """
         assert table.file is not None
         path = self.file(table.file, f"{place} file")

@@ -1,14 +1,20 @@
 """A record of a robot's cut: forces, or how far the tool was off its path."""
 
-from typing import NamedTuple
+import functools
+from typing import Literal
 
 import numpy as np
+from pydantic import Field, StrictBool, StrictStr
 
-from ...identification import CoupledStudy, Record
+from ..._job import Job
+from ...identification import CoupledStudy
 from ...io import Quantity, TableReader
 from ...units import FORCE, LENGTH
+from .._schema.fields import Time
 from .context import Context
-from .schema import CoupledTable
+from .fields import File
+from .kind import IdentificationKind
+from .schema import MeasuredTable
 
 _VECTORS = {
     "force": Quantity.vector("F", "f|force|kraft", FORCE, "force"),
@@ -16,26 +22,48 @@ _VECTORS = {
 }
 
 
-class _Columns(NamedTuple):
-    """Time, forces and deviations of a record, and what was assumed."""
+class CoupledTable(MeasuredTable):
+    """`[coupled]`."""
 
-    time: np.ndarray
-    force: np.ndarray | None
-    deviation: np.ndarray | None
-    notes: tuple[str, ...]
-    channels: tuple[Record.Channel, ...]
+    job: File = Field(description='job that was run, such as "part.toml"')
+    file: File = Field(description='forces or deviations over time, such as "run.csv"')
+    fit: list[StrictStr] | None = Field(
+        default=None,
+        description='parameters that are fitted, such as ["K", "D"], "K axis_1" or '
+        '"K_tc"; if left out stiffness and damping of all joints, and with forces the '
+        "coefficients",
+    )
+    has_offset: StrictBool = Field(
+        default=False,
+        description="true: a constant deviation is fitted too, as of a tracker",
+    )
+    has_time_shift: StrictBool = Field(
+        default=False, description="true: a small shift of the clock is fitted too"
+    )
+    time_shift: Time | None = Field(
+        default=None,
+        description='known time of the job minus time of the record, such as "1.2 s"; '
+        "0 if left out",
+    )
+    loss: Literal["squares", "huber"] = Field(
+        default="huber",
+        description="how errors count; huber is for records with gross errors",
+    )
 
 
-def read_coupled(
-    name: str, table: CoupledTable, context: Context
+def _read(
+    name: str, context: Context, *, coupled: CoupledTable | None = None
 ) -> CoupledStudy | None:
-    """Return a record of a robot's cut, or None with problems noted.
+    """Study of a record of a robot's cut, or None with problems noted.
 
     Args:
         name: The file that asks for it.
-        table: `[coupled]`.
         context: Folder and problems.
+        coupled: `[coupled]`.
     """
+    table = coupled
+    if table is None:
+        return None
     job = context.job(table.job, "[coupled] job")
     if job is not None and job.robot is None:
         context.problems.append(
@@ -48,26 +76,15 @@ def read_coupled(
             for one in table.fit or ()
             if one not in known
         )
-    found = context.read(table, "[coupled]", _columns)
-    if job is None or found is None or context.problems:
-        return None
-    return CoupledStudy(
-        name=name,
-        job=job,
-        time=found.time + (table.time_shift or 0.0),
-        force=found.force,
-        deviation=found.deviation,
-        fit=None if table.fit is None else tuple(table.fit),
-        has_offset=table.has_offset,
-        has_time_shift=table.has_time_shift,
-        loss=table.loss,
-        notes=found.notes,
-        channels=found.channels,
-    )
+    build = functools.partial(_study, name=name, table=table, job=job)
+    study = context.read(table, "[coupled]", build)
+    return None if context.problems else study
 
 
-def _columns(reader: TableReader) -> _Columns:
-    """Return time, forces and deviations.
+def _study(
+    reader: TableReader, name: str, table: CoupledTable, job: Job | None
+) -> CoupledStudy | None:
+    """Study of the times, forces and deviations of a record; None without a job.
 
     Raises:
         RecordError: Nothing of it can be fitted.
@@ -98,6 +115,24 @@ def _columns(reader: TableReader) -> _Columns:
             "the time must increase over at least 12 rows, but does not."
         )
     reader.check()
+    if job is None:
+        return None
     force, deviation = (None if v is None else v[good] for v in parts.values())
-    notes, channels = tuple(reader.notes), tuple(reader.read)
-    return _Columns(time[good], force, deviation, notes, channels)
+    return CoupledStudy(
+        name=name,
+        job=job,
+        time=time[good] + (table.time_shift or 0.0),
+        force=force,
+        deviation=deviation,
+        fit=None if table.fit is None else tuple(table.fit),
+        has_offset=table.has_offset,
+        has_time_shift=table.has_time_shift,
+        loss=table.loss,
+        notes=tuple(reader.notes),
+        channels=tuple(reader.read),
+    )
+
+
+KIND = IdentificationKind(
+    "coupled", required={"coupled": CoupledTable}, optional={}, read=_read
+)

@@ -1,7 +1,6 @@
 """The part of a record in which the tool cuts, and those in which it does not."""
 
 import math
-from typing import NamedTuple
 
 from ..._job import Job
 from ...identification import (
@@ -18,26 +17,20 @@ _TARE_PERIODS, _TARE_SAMPLES = 4.0, 20
 _LISTED = 8
 
 
-class CutSearch(NamedTuple):
-    """Cuts in a record, and whether quiet parts lie beside them."""
+def find_cuts(record: Record, tooth_period: float) -> list[CutSpan]:
+    """Cuts that stand out in a record; none if it shows no quiet part beside them."""
+    window = _TARE_PERIODS * tooth_period
+    cuts = CutSpan.find(record, tooth_frequency=1 / tooth_period, window=window)
+    cuts = cuts or CutSpan.find(record, window=window)
+    return [] if cuts == unbroken_spans(record, tooth_period) else cuts
 
-    cuts: list[CutSpan]
-    has_quiet: bool
 
-
-def cuts_in(record: Record, tooth: float) -> CutSearch:
-    """Return the cuts in a record; all of it where none stands out."""
-    window = _TARE_PERIODS * tooth
-    cuts = CutSpan.find(record, tooth_frequency=1 / tooth, window=window)
-    if not cuts:
-        cuts = CutSpan.find(record, window=window)
-    whole = [
+def unbroken_spans(record: Record, tooth_period: float) -> list[CutSpan]:
+    """Parts of a record between long gaps: each of them is a cut of its own."""
+    return [
         CutSpan(float(record.time[p.start]), float(record.time[p.stop - 1]))
-        for p in record.parts_between_gaps(longest=window)
+        for p in record.parts_between_gaps(longest=_TARE_PERIODS * tooth_period)
     ]
-    # Parts with a long gap between them are cuts of their own.
-    stands_out = bool(cuts) and cuts != whole
-    return CutSearch(cuts if stands_out else whole, stands_out)
 
 
 def span_of(
@@ -48,7 +41,7 @@ def span_of(
     place: str,
     problems: list[str],
 ) -> CutSpan | None:
-    """Return the part of the record that belongs to the cut."""
+    """Part of the record that belongs to the cut; None with a problem noted."""
     first, last = float(record.time[0]), float(record.time[-1])
     if table.start is not None or table.stop is not None:
         start = first if table.start is None else max(table.start, first)
@@ -96,7 +89,7 @@ def tare_of(
     tooth: float,
     notes: list[str],
 ) -> Record.Tare | None:
-    """Return offset and drift of the record, None if none are removed; note why.
+    """Offset and drift of the record, None if none are removed; the reason is noted.
 
     Raises:
         ValueError: A section that the table names holds fewer than two samples.
@@ -131,7 +124,7 @@ def tare_of(
 def _quiet(
     record: Record, cuts: list[CutSpan], span: CutSpan, tooth: float
 ) -> tuple[slice | None, slice | None]:
-    """Return the sections without a cut before and after a part of the record."""
+    """Sections without a cut before and after a part of the record."""
     if not cuts:
         return None, None
     guard = 2 * _TARE_PERIODS * tooth
@@ -158,7 +151,7 @@ def engaged(
     record: Record,
     notes: list[str],
 ) -> tuple[float, float]:
-    """Return the part of a straight cut where the tool is fully engaged."""
+    """Start and end [s] of the part of a straight cut with full engagement."""
     start, stop = span
     speed = getattr(process, "spindle_speed", None)
     is_chosen = table.start is not None or table.stop is not None

@@ -1,71 +1,138 @@
 """Load tests as a table: joint positions, loads and displacements, one pose per row."""
 
+import dataclasses
+import functools
 import re
-from collections.abc import Callable
-from typing import NamedTuple
+from typing import Annotated, Literal
 
 import jax
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from pydantic import Field, StrictBool, StrictInt
 
 from ... import units as q
-from ...identification import LoadTestStudy, Record
+from ...identification import LoadTestStudy
 from ...io import Quantity, TableReader
 from ...robot import Robot, forward_kinematics
 from .context import Context
-from .schema import LoadTestsTable
+from .fields import Axes, File
+from .kind import IdentificationKind
+from .robot import StudiedRobotTable, read_tool_robot
+from .schema import MeasuredTable
 
-# Rotations of one pose each.
-Turns = Float[np.ndarray, "pose 3 3"]
 # No joint turns so far [rad], and no load bends a robot so far [m]; hardly one a fifth
 # of that, where the user has not confirmed the unit.
 _LARGEST_ANGLE, _LARGEST_MOVE, _USUAL_MOVE = 4 * np.pi, 0.1, 0.02
 
 
-class _Tests(NamedTuple):
-    """Rows of a table as written, in SI units; shape (row, component) each."""
+class LoadTestsTable(MeasuredTable):
+    """`[load_tests]`."""
 
-    joint: np.ndarray
-    load: np.ndarray
-    moved: np.ndarray
-    notes: list[str]
-    channels: tuple[Record.Channel, ...]
+    file: File = Field(description='table with one pose per row, such as "loads.csv"')
+    load_axes: Axes | None = Field(
+        default=None,
+        description="for x, y, z of load_frame the recorded axis, such as "
+        '["-y", "x", "z"]; as recorded if left out',
+    )
+    displacement_axes: Axes | None = Field(
+        default=None,
+        description="for x, y, z of displacement_frame the recorded axis, such as "
+        '["-y", "x", "z"]; as recorded if left out',
+    )
+    load_frame: Literal["base", "tool"] = Field(
+        default="base", description="frame in which the load was recorded"
+    )
+    displacement_frame: Literal["base", "tool"] = Field(
+        default="base", description="frame in which the displacement was recorded"
+    )
+    has_offset: StrictBool = Field(
+        default=False,
+        description="true: a constant displacement is fitted too, as of a tracker",
+    )
+    noise: Literal["absolute", "relative"] | None = Field(
+        default=None,
+        description="scatter of the poses: alike, or in proportion to the "
+        "displacement; the likelier if left out",
+    )
+    skip_rows: list[Annotated[StrictInt, Field(ge=1)]] = Field(
+        default_factory=list,
+        description="numbers of rows that are left out, such as [7]",
+    )
 
 
-def read_load_tests(
+def _read(
     name: str,
-    table: LoadTestsTable,
-    robot: Robot,
-    notes: list[str],
     context: Context,
+    *,
+    robot: StudiedRobotTable | None = None,
+    load_tests: LoadTestsTable | None = None,
 ) -> LoadTestStudy | None:
-    """Return load tests, the loads in base axes, or None with problems noted.
+    """Study of load tests, the loads in base axes, or None with problems noted.
 
     Args:
         name: The file that asks for it.
-        table: `[load_tests]`.
-        robot: The robot with its tool.
-        notes: What is doubtful in the robot's file.
         context: Folder and problems.
+        robot: `[robot]`.
+        load_tests: `[load_tests]`.
     """
-    found = context.read(table, "[load_tests]", _columns(table, robot))
-    if found is None:
+    notes: list[str] = []
+    if robot is None:
         return None
-    good = _good_rows(found, table, context.problems)
-    if good is None:
+    arm = read_tool_robot(robot, context, notes, needs_mass=False)
+    if arm is None or load_tests is None:
         return None
-    if not good.any():
-        context.problems.append(
-            f"[load_tests] file: {table.file}: found no complete row."
-        )
-        return None
-    angles, load, moved = found.joint[good], found.load[good], found.moved[good]
-    tool = _tool_axes(robot, angles)
-    load_frame, frame = (
-        tool if name == "tool" else None
-        for name in (table.load_frame, table.displacement_frame)
+    build = functools.partial(
+        _study, name=name, table=load_tests, robot=arm, problems=context.problems
     )
-    load = _exchanged(load, table.load_axes)
+    study = context.read(load_tests, "[load_tests]", build)
+    if study is not None:
+        study = dataclasses.replace(study, notes=(*notes, *study.notes))
+    return study
+
+
+def _study(
+    reader: TableReader,
+    name: str,
+    table: LoadTestsTable,
+    robot: Robot,
+    problems: list[str],
+) -> LoadTestStudy | None:
+    """Study of the complete rows of a table, or None with problems noted.
+
+    Raises:
+        RecordError: A column is missing, or has another unit.
+    """
+    values = _columns(reader, robot)
+    _check_sizes(robot, values, table, reader.faults)
+    reader.check()
+    load = np.hstack([values[n] for n in ("force", "moment") if n in values])
+    moved = np.hstack([values[n] for n in ("displacement", "rotation") if n in values])
+    whole = np.hstack([values["joint"], load])
+    good = np.asarray(np.isfinite(whole).all(axis=1) & np.isfinite(moved).any(axis=1))
+    if not good.all():
+        lost = np.flatnonzero(~good) + 1
+        shown = ", ".join(map(str, lost[:10].tolist()))
+        more = ", ..." if lost.size > 10 else ""
+        reader.notes.append(f"Rows {shown}{more} have empty cells and were left out.")
+    for row in table.skip_rows:
+        if row > len(good):
+            problems.append(
+                f"[load_tests] skip_rows: found {row}, but there are {len(good)} rows"
+            )
+            return None
+        good[row - 1] = False
+    if not good.any():
+        problems.append(f"[load_tests] file: {table.file}: found no complete row.")
+        return None
+    angles = values["joint"][good]
+    poses = jax.vmap(lambda row: forward_kinematics(robot, row))(
+        np.asarray(angles, robot.dtype)
+    )
+    rotations = np.asarray(poses, np.float64)[:, :3, :3]
+    load_frame, frame = (
+        rotations if axes == "tool" else None
+        for axes in (table.load_frame, table.displacement_frame)
+    )
+    load = _exchanged(load[good], table.load_axes)
     if load_frame is not None:
         parts = load.reshape(len(load), -1, 3)
         load = np.einsum("pij,pkj->pki", load_frame, parts).reshape(load.shape)
@@ -75,80 +142,49 @@ def read_load_tests(
         q=angles,
         wrench=np.pad(load, ((0, 0), (0, 6 - load.shape[1]))),
         # In base one missing component would make all of them unknown.
-        displacement=_exchanged(moved, table.displacement_axes),
+        displacement=_exchanged(moved[good], table.displacement_axes),
         load_frame=load_frame,
         displacement_frame=frame,
         rows=tuple((np.flatnonzero(good) + 1).tolist()),
         has_offset=table.has_offset,
         noise=table.noise,
-        notes=(*notes, *found.notes),
-        channels=found.channels,
+        notes=tuple(reader.notes),
+        channels=tuple(reader.read),
     )
 
 
-def _good_rows(
-    found: _Tests, table: LoadTestsTable, problems: list[str]
-) -> Bool[np.ndarray, " row"] | None:
-    """Return which rows are complete and wanted; None with problems noted."""
-    whole = np.hstack([found.joint, found.load])
-    good = np.asarray(
-        np.isfinite(whole).all(axis=1) & np.isfinite(found.moved).any(axis=1)
-    )
-    if not good.all():
-        found.notes.append(_lost_rows(np.flatnonzero(~good) + 1))
-    for row in table.skip_rows:
-        if row > len(good):
-            problems.append(
-                f"[load_tests] skip_rows: found {row}, but there are {len(good)} rows"
-            )
-            return None
-        good[row - 1] = False
-    return good
+def _columns(reader: TableReader, robot: Robot) -> dict[str, np.ndarray]:
+    """Joint positions, loads and displacements in SI units, shape (row, component).
 
-
-def _lost_rows(lost: Int[np.ndarray, " row"]) -> str:
-    shown = ", ".join(map(str, lost[:10].tolist()))
-    more = ", ..." if lost.size > 10 else ""
-    return f"Rows {shown}{more} have empty cells and were left out."
-
-
-def _columns(table: LoadTestsTable, robot: Robot) -> Callable[[TableReader], _Tests]:
-    """Return what reads joint positions, loads and displacements."""
-
-    def build(reader: TableReader) -> _Tests:
-        groups = _groups(robot)
-        reader.allow(quantity for group in groups.values() for quantity in group)
-        values, missing = {}, []
-        for name, group in groups.items():
-            given = _given(name, group, reader)
-            lost = [quantity.key for quantity in group if quantity.key not in given]
-            if lost and (given or name not in ("moment", "rotation")):
-                missing.extend(lost)
-            elif given:
-                values[name] = np.column_stack([given[one.key] for one in group])
-        if missing and not reader.faults:
-            reader.faults.append(
-                f"found no column for {', '.join(missing)} among {reader.listed()}; "
-                "name it with `channels`."
-            )
-        reader.check()
-        _check_sizes(robot, values, table, reader.faults)
-        reader.check()
-        load = [values[n] for n in ("force", "moment") if n in values]
-        moved = [values[n] for n in ("displacement", "rotation") if n in values]
-        return _Tests(
-            values["joint"],
-            np.hstack(load),
-            np.hstack(moved),
-            reader.notes,
-            tuple(reader.read),
+    Raises:
+        RecordError: A column is missing.
+    """
+    groups = _groups(robot)
+    reader.allow(quantity for group in groups.values() for quantity in group)
+    values, missing = {}, []
+    for name, group in groups.items():
+        parts = {quantity.key: reader.values(quantity) for quantity in group}
+        given = {key: part for key, part in parts.items() if part is not None}
+        # "none": no load along this axis, no measurement along that one.
+        for key in [k for k in parts if given and reader.is_excluded(k)]:
+            fill = 0.0 if name in ("force", "moment") else np.nan
+            given[key] = np.full(len(next(iter(given.values()))), fill)
+        lost = [key for key in parts if key not in given]
+        if lost and (given or name not in ("moment", "rotation")):
+            missing.extend(lost)
+        elif given:
+            values[name] = np.column_stack([given[key] for key in parts])
+    if missing and not reader.faults:
+        reader.faults.append(
+            f"found no column for {', '.join(missing)} among {reader.listed()}; "
+            "name it with `channels`."
         )
-
-    return build
+    reader.check()
+    return values
 
 
 def _groups(robot: Robot) -> dict[str, tuple[Quantity, ...]]:
-    """Return the columns of a table by what they measure."""
+    """Columns of a table by what they measure."""
     joints = zip(robot.joint_names, robot.joint_kinds, strict=True)
     return {
         "joint": tuple(
@@ -167,19 +203,6 @@ def _groups(robot: Robot) -> dict[str, tuple[Quantity, ...]]:
         ),
         "rotation": Quantity.vector("r", "r|dr|rot|rotation|phi", q.ANGLE, "rotation"),
     }
-
-
-def _given(
-    name: str, group: tuple[Quantity, ...], reader: TableReader
-) -> dict[str, np.ndarray]:
-    """Return the columns of a group that there are, those that are "none" filled."""
-    parts = {quantity.key: reader.values(quantity) for quantity in group}
-    given = {key: part for key, part in parts.items() if part is not None}
-    # "none": no load along this axis, no measurement along that one.
-    for key in [k for k in parts if given and reader.is_excluded(k)]:
-        fill = 0.0 if name in ("force", "moment") else np.nan
-        given[key] = np.full(len(next(iter(given.values()))), fill)
-    return given
 
 
 def _check_sizes(
@@ -206,7 +229,7 @@ def _check_sizes(
 
 
 def _usual_move(values: dict[str, np.ndarray], table: LoadTestsTable) -> float:
-    """Return how far the tool moves in the median pose [m]."""
+    """Displacement of the tool in the median pose [m]."""
     moved = values["displacement"]
     if table.has_offset:
         # The zero of a tracker lies anywhere.
@@ -218,16 +241,8 @@ def _usual_move(values: dict[str, np.ndarray], table: LoadTestsTable) -> float:
     return float(np.median(lengths)) if lengths.size else 0.0
 
 
-def _tool_axes(robot: Robot, angles: np.ndarray) -> Turns:
-    """Return the rotations of the tool into base."""
-    poses = jax.vmap(lambda row: forward_kinematics(robot, row))(
-        np.asarray(angles, robot.dtype)
-    )
-    return np.asarray(poses, np.float64)[:, :3, :3]
-
-
 def _exchanged(vectors: np.ndarray, axes: list[str] | None) -> np.ndarray:
-    """Return vectors with the axes exchanged.
+    """Vectors with their axes exchanged.
 
     Moments and rotations, behind forces and displacements, change their sign once more
     where the axes are mirrored.
@@ -241,3 +256,11 @@ def _exchanged(vectors: np.ndarray, axes: list[str] | None) -> np.ndarray:
     parts = parts[:, :, order] * signs[None, None]
     parts = parts * handed[None, : parts.shape[1], None]
     return parts.reshape(vectors.shape)
+
+
+KIND = IdentificationKind(
+    "load_tests",
+    required={"robot": StudiedRobotTable, "load_tests": LoadTestsTable},
+    optional={},
+    read=_read,
+)

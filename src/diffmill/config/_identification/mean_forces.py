@@ -1,8 +1,10 @@
 """Mean forces over the feed: from a table, or of records of one feed each."""
 
+import dataclasses
 from typing import NamedTuple
 
 import numpy as np
+from pydantic import Field
 
 from ...identification import (
     ForceRecord,
@@ -13,9 +15,18 @@ from ...identification import (
 )
 from ...io import Quantity, RecordError, TableReader
 from ...units import FORCE, LENGTH
+from .._schema.cutter import CutterTable
+from .._schema.fields import Force, PositiveLength
+from .._schema.job import SpindleTable
 from .context import Context
-from .force_records import check_straight
-from .schema import MeansTable
+from .kind import IdentificationKind
+from .records import (
+    check_straight,
+    force_settings,
+    read_force_records,
+    with_straight_cut,
+)
+from .schema import CutTable, FitTable, MeasuredTable, RecordTable
 
 _FEED = Quantity(
     "feed_per_tooth",
@@ -30,6 +41,28 @@ _FORCES = tuple(
 _KEYS = tuple(q.key for q in (_FEED, *_FORCES))
 
 
+class MeansTable(MeasuredTable):
+    """`[means]`: mean forces over the feed, in the file or in another one."""
+
+    feed_per_tooth: list[PositiveLength] | None = Field(
+        default=None,
+        description='feeds per tooth, such as ["0.05 mm", ...]; with Fx, Fy and Fz '
+        "required without file",
+    )
+    Fx: list[Force] | None = Field(
+        default=None,
+        description='mean forces along x at the feeds, such as ["107 N", ...]',
+    )
+    Fy: list[Force] | None = Field(
+        default=None,
+        description='mean forces along y at the feeds, such as ["107 N", ...]',
+    )
+    Fz: list[Force] | None = Field(
+        default=None,
+        description='mean forces along z at the feeds, such as ["107 N", ...]',
+    )
+
+
 class _Means(NamedTuple):
     """Mean forces [N], shape (feed, 3), over the feed per tooth [m]."""
 
@@ -40,20 +73,54 @@ class _Means(NamedTuple):
     channels: tuple[Record.Channel, ...] = ()
 
 
-def mean_force_task(
+def _read(
+    name: str,
+    context: Context,
+    *,
+    cutter: CutterTable | None = None,
+    cut: CutTable | None = None,
+    means: MeansTable | None = None,
+    record: list[RecordTable] | None = None,
+    spindle: SpindleTable | None = None,
+    fit: FitTable | None = None,
+) -> MeanForceStudy | None:
+    """Study of mean forces of a table, or of records; None with problems noted."""
+    context = with_straight_cut(context, cutter, spindle, cut)
+    records = read_force_records(record, fit, context, has_jobs=False)
+    fit = FitTable() if fit is None else fit
+    context.problems.extend(
+        f"[fit] {key}: found beside mean forces, which it does not change; "
+        'allowed with kind = "force_records"'
+        for key in ("loss", "refine", "shift_range", "lowpass")
+        if key in fit.model_fields_set
+    )
+    if means is not None and "refine_speed" in fit.model_fields_set:
+        context.problems.append(
+            "[fit] refine_speed: found beside [means], which has no record to take the "
+            "speed from; allowed with [[record]]"
+        )
+    study = _study(
+        name, means, None if record is None else records, force_settings(fit), context
+    )
+    if study is not None and record is None and fit.force_on == "workpiece":
+        study = dataclasses.replace(study, mean_force=-study.mean_force)
+    return study
+
+
+def _study(
     name: str,
     table: MeansTable | None,
     records: tuple[ForceRecord, ...] | None,
     settings: ForceSettings,
     context: Context,
 ) -> MeanForceStudy | None:
-    """Return mean forces of a table, or of records; None with problems noted.
+    """Study of mean forces as they were recorded, or None with problems noted.
 
     Args:
         name: The file that asks for it.
         table: `[means]`, or None.
         records: The records, each with a feed; None if the file has none.
-        settings: How to fit.
+        settings: Settings of the fit.
         context: Cutter, cut and problems.
     """
     problems = context.problems
@@ -109,7 +176,7 @@ def mean_force_task(
 
 
 def _of_records(records: tuple[ForceRecord, ...], problems: list[str]) -> _Means | None:
-    """Return means of records, with what is to be said of them."""
+    """Means of records, each with its notes; None with problems noted."""
     for place, one in enumerate(records, 1):
         seen = zip("xyz", one.record.is_measured, strict=True)
         if lost := [f"F{axis}" for axis, is_measured in seen if not is_measured]:
@@ -128,13 +195,13 @@ def _of_records(records: tuple[ForceRecord, ...], problems: list[str]) -> _Means
     for one, cut in zip(records, cuts, strict=True):
         mean = one.record.mean_over_turns(one.start, one.stop, cut.spindle_speed)
         means.append(mean.force)
-        noted.append(one._replace(notes=(*one.notes, *mean.notes)))
+        noted.append(dataclasses.replace(one, notes=(*one.notes, *mean.notes)))
     feeds = np.array([cut.feed_per_tooth for cut in cuts])
     return _Means(feeds, np.array(means).reshape(-1, 3), tuple(noted))
 
 
 def _of_table(table: MeansTable, context: Context) -> _Means | None:
-    """Return feeds and forces of `[means]`, or None with problems noted."""
+    """Feeds and forces of `[means]`, or None with problems noted."""
     problems = context.problems
     given = [key for key in _KEYS if getattr(table, key) is not None]
     if table.file is not None:
@@ -167,7 +234,7 @@ def _of_table(table: MeansTable, context: Context) -> _Means | None:
 
 
 def _of_file(reader: TableReader) -> _Means:
-    """Return the columns of a table of mean forces.
+    """Columns of a table of mean forces.
 
     Raises:
         RecordError: One is missing.
@@ -197,9 +264,22 @@ def _of_file(reader: TableReader) -> _Means:
 
 
 def _complete(feeds: np.ndarray, force: np.ndarray, notes: list[str]) -> _Means:
-    """Return the rows that have all values."""
+    """Rows that have all values."""
     good = np.isfinite(force).all(axis=1) & np.isfinite(feeds)
     if not good.all():
         rows = ", ".join(map(str, (np.flatnonzero(~good) + 1).tolist()))
         notes = [*notes, f"Rows {rows} have empty cells and were left out."]
     return _Means(feeds[good], force[good], notes=tuple(notes))
+
+
+KIND = IdentificationKind(
+    "mean_forces",
+    required={"cutter": CutterTable, "cut": CutTable},
+    optional={
+        "means": MeansTable,
+        "record": [RecordTable],
+        "spindle": SpindleTable,
+        "fit": FitTable,
+    },
+    read=_read,
+)

@@ -1,19 +1,60 @@
-"""The robot of a measurement, and its poses."""
+"""The robot of a measurement."""
 
 import numpy as np
-from jaxtyping import Float
+from pydantic import Field, StrictStr
 
 from ... import units as q
-from ...io import parse_pose
 from ...robot import Robot
 from .._build.robot import pose_matrix
 from .._build.robot_file import load_robot
-from .._schema.job import RobotTable
+from .._schema.fields import Damping, Stiffness
+from .._schema.job import PoseTable, RobotTable
+from .._schema.table import TomlTable
 from .context import Context
-from .schema import StudiedRobotTable
+from .fields import File
 
 _STIFFNESS = (q.ROTARY_STIFFNESS, q.LINEAR_STIFFNESS)
 _DAMPING = (q.ROTARY_DAMPING, q.LINEAR_DAMPING)
+
+
+class StudiedRobotTable(TomlTable):
+    """`[robot]` of a measurement: no place of a workpiece."""
+
+    model: StrictStr | None = Field(
+        default=None,
+        description='name of a built-in robot, such as "kuka_kr210_like"; required '
+        "without file",
+    )
+    file: StrictStr | None = Field(
+        default=None,
+        description='file of a robot of your own, such as "arm.toml" or "arm.urdf", '
+        "instead of model",
+    )
+    tool: StrictStr | None = Field(
+        default=None,
+        description='link of a URDF that is the flange, such as "tool0"; required if '
+        "several could be",
+    )
+    drives: File | None = Field(
+        default=None,
+        description="file with what the robot lacks (springs, drives, spindle), such "
+        'as "drives.toml"; nothing is added if left out',
+    )
+    joint_stiffness: list[Stiffness] | None = Field(
+        default=None,
+        description='stiffness of every joint, such as ["3.5 MN*m/rad", ...]; that of '
+        "the robot and drives if left out",
+    )
+    joint_damping: list[Damping] | None = Field(
+        default=None,
+        description='damping of every joint, such as ["1825 N*m*s/rad", ...]; that of '
+        "the robot and drives if left out",
+    )
+    tool_in_flange: PoseTable | None = Field(
+        default=None,
+        description="pose of the tool, where it is loaded and measured, in the flange; "
+        "that of the robot if left out",
+    )
 
 
 def read_tool_robot(
@@ -67,21 +108,3 @@ def read_tool_robot(
     if table.tool_in_flange is not None:
         robot = robot.with_tool(pose_matrix(table.tool_in_flange))
     return robot
-
-
-def joint_positions(
-    texts: list[str] | None, robot: Robot | None, place: str, problems: list[str]
-) -> Float[np.ndarray, " joint"] | None:
-    """Return joint positions that the file gives, None if none or faulty."""
-    if texts is None:
-        return None
-    if robot is None:
-        problems.append(
-            f"{place} joint_positions: found beside no [robot], but it is required then"
-        )
-        return None
-    try:
-        return np.asarray(parse_pose(", ".join(texts), robot), np.float64)
-    except ValueError as error:
-        problems.append(f"{place} joint_positions: {error}")
-        return None

@@ -32,6 +32,19 @@ def axes_names(matrix: Float[np.ndarray, "3 3"]) -> tuple[str, str, str]:
     return (names[0], names[1], names[2])
 
 
+def in_work_axes(
+    force: Float[np.ndarray, "row 3"], axes: Sequence[str]
+) -> Float[np.ndarray, "row 3"]:
+    """Recorded forces in the axes of the work [N], shape (row, 3).
+
+    Args:
+        force: As recorded [N], shape (row, 3); NaN where not measured.
+        axes: For each axis of the work the recorded one, such as "-y".
+    """
+    signs = np.array([-1.0 if name.startswith("-") else 1.0 for name in axes])
+    return force[:, ["xyz".index(name[-1]) for name in axes]] * signs[None]
+
+
 class AxesCandidate(NamedTuple):
     """One assignment of recorded to simulated axes, and what speaks for it.
 

@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 
 from ..._job import Job
 from ...numerics import lowpass
+from .._alignment.axis_proposal import in_work_axes
 from .._alignment.record_registration import RecordRegistration
 from .._cut.cut_model import (
     Cut,
@@ -304,12 +305,7 @@ def _measured(
     is_saturated = find_measured_saturated(seen)
     saturated = int(is_saturated.any(axis=1).sum())
     seen = without_saturated(seen, is_saturated)
-    turned = np.column_stack(
-        [
-            (-1.0 if name.startswith("-") else 1.0) * seen[:, "xyz".index(name[-1])]
-            for name in axes
-        ]
-    )
+    turned = in_work_axes(seen, axes)
     if cutoff is not None:
         turned = filtered(when, turned, turned[:, :, None], cutoff)[:, :, 0]
     if isinstance(cut, RecordRegistration):

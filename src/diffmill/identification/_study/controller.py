@@ -8,8 +8,8 @@ of all joints are taken as alike, so that the tip follows as each joint does:
 A slow motion shows the sum of dead time and lag alone; what parts them is acceleration.
 """
 
-from collections.abc import Callable
-from typing import Literal, NamedTuple
+import dataclasses
+from typing import Literal
 
 import equinox as eqx
 import jax
@@ -24,12 +24,13 @@ from .study import OnProgress, StudyError, silent
 _BANDWIDTHS = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
 _DEAD_TIMES = (0.0, 0.01, 0.03, 0.08, 0.2)
 # Relative standard error up to which a bandwidth is known.
-_KNOWN = 0.2
+_LARGEST_RELATIVE_ERROR = 0.2
 # Rows that a record must have besides the unknowns.
-_FEWEST = 20
+_LEAST_ROWS = 20
 
 
-class ControllerStudyFit(NamedTuple):
+@dataclasses.dataclass(frozen=True)
+class ControllerStudyFit:
     """Servo and dead time.
 
     Attributes:
@@ -38,7 +39,7 @@ class ControllerStudyFit(NamedTuple):
         dead_time: [s].
         standard_errors: Of these, by their names.
         is_identifiable: Whether the path shows the bandwidth.
-        residual_rms: What is left per axis [m].
+        residual_rms: Root mean square of the residual per axis [m].
         measured: Actual less commanded tip at the rows of the record [m], (row, 3).
         predicted: The same by the fit, shape (row, 3).
     """
@@ -53,7 +54,8 @@ class ControllerStudyFit(NamedTuple):
     predicted: Float[np.ndarray, "row 3"]
 
 
-class ControllerStudy(NamedTuple):
+@dataclasses.dataclass(frozen=True)
+class ControllerStudy:
     """Commanded and actual tips of a path in the air, on one clock.
 
     Attributes:
@@ -64,7 +66,8 @@ class ControllerStudy(NamedTuple):
         is_recorded: Rows at which the actual tip is known, shape (row,).
         order: Order of the servo.
         notes: What was assumed.
-        Fit: What it finds.
+        kind: Kind of the measurements.
+        Fit: Result of `run`.
     """
 
     name: str
@@ -74,13 +77,14 @@ class ControllerStudy(NamedTuple):
     is_recorded: Bool[np.ndarray, " row"]
     order: Literal["first", "second"]
     notes: tuple[str, ...]
+    kind = "controller"
     Fit = ControllerStudyFit
 
     def run(self, on_progress: OnProgress = silent) -> ControllerStudyFit:
         """Fit servo and dead time, a constant offset aside.
 
         Args:
-            on_progress: Told what is being done.
+            on_progress: Receives a line about each step.
 
         Raises:
             StudyError: The path does not move, or has too few rows.
@@ -89,29 +93,24 @@ class ControllerStudy(NamedTuple):
 
         on_progress("bandwidth and dead time")
         rows = self.is_recorded
-        if rows.sum() < _FEWEST or np.ptp(self.commanded, axis=0).max() == 0:
+        if rows.sum() < _LEAST_ROWS or np.ptp(self.commanded, axis=0).max() == 0:
             raise StudyError(
                 f"{self.name}: found {int(rows.sum())} rows, but a path that moves and "
-                f"at least {_FEWEST} rows of it are required."
+                f"at least {_LEAST_ROWS} rows of it are required."
             )
         command = jnp.asarray(self.commanded)
-        step = self._step()
-        has_damping = self.order == "second"
+        step = jnp.asarray(self.time_step, float)
 
-        def centred_difference(
-            found: Float[np.ndarray, "row 3"],
-        ) -> Float[np.ndarray, " number"]:
-            off = (self.actual - found)[rows]
+        def residual(x: Float[np.ndarray, " unknown"]) -> Float[np.ndarray, " number"]:
+            response = np.asarray(_response(jnp.asarray(x), command, step))
+            off = (self.actual - response)[rows]
             return (off - off.mean(axis=0)[None]).reshape(-1)
 
         def slopes(x: Float[np.ndarray, " unknown"]) -> Float[np.ndarray, "number u"]:
-            found = np.asarray(_slopes(jnp.asarray(x), command, step))[rows]
-            return -(found - found.mean(axis=0)[None]).reshape(-1, x.size)
+            response = np.asarray(_response_slopes(jnp.asarray(x), command, step))[rows]
+            return -(response - response.mean(axis=0)[None]).reshape(-1, x.size)
 
-        residual = lambda x: centred_difference(
-            np.asarray(_response(jnp.asarray(x), command, step))
-        )
-        last = (np.log(0.7),) if has_damping else ()
+        last = (np.log(0.7),) if self.order == "second" else ()
         starts = [
             np.array([np.log(bandwidth), dead_time, *last])
             for bandwidth in _BANDWIDTHS
@@ -119,49 +118,36 @@ class ControllerStudy(NamedTuple):
         ]
         start = min(starts, key=lambda x: float(np.sum(residual(x) ** 2)))
         lower = np.array([-np.inf, 0.0, -np.inf])[: start.size]
-        solved = least_squares(
+        x = least_squares(
             residual,
             start,
             jac=slopes,  # pyright: ignore[reportArgumentType]
             bounds=(lower, np.inf),
             x_scale="jac",
-        )
-        return self._fit(solved.x, residual(solved.x), slopes(solved.x), command)
-
-    def _step(self) -> Float[Array, ""]:
-        return jnp.asarray(self.time_step, float)
-
-    def _fit(
-        self,
-        x: Float[np.ndarray, " unknown"],
-        residual: Float[np.ndarray, " number"],
-        slopes: Float[np.ndarray, "number unknown"],
-        command: Float[Array, "row 3"],
-    ) -> ControllerStudyFit:
-        """Return what the unknowns are, and how well they are known."""
-        rows = self.is_recorded
-        variance = residual @ residual / (residual.size - x.size - 3)
-        errors = np.sqrt(np.diag(variance * np.linalg.pinv(slopes.T @ slopes)))
+        ).x
+        off, J = residual(x), slopes(x)
+        variance = off @ off / (off.size - x.size - 3)
+        errors = np.sqrt(np.diag(variance * np.linalg.pinv(J.T @ J)))
         bandwidth = float(np.exp(x[0]))
-        standard = {
+        standard_errors = {
             "bandwidth": bandwidth * float(errors[0]),
             "dead_time": float(errors[1]),
         }
         zeta = None
         if x.size == 3:
             zeta = float(np.exp(x[2]))
-            standard["damping_ratio"] = zeta * float(errors[2])
-        found = np.asarray(_response(jnp.asarray(x), command, self._step()))
-        offset = (self.actual - found)[rows].mean(axis=0)
+            standard_errors["damping_ratio"] = zeta * float(errors[2])
+        response = np.asarray(_response(jnp.asarray(x), command, step))
+        offset = (self.actual - response)[rows].mean(axis=0)
         return ControllerStudyFit(
             bandwidth=bandwidth,
             damping_ratio=zeta,
             dead_time=float(x[1]),
-            standard_errors=standard,
-            is_identifiable=bool(errors[0] < _KNOWN),
-            residual_rms=float(np.sqrt(np.mean(residual**2))),
+            standard_errors=standard_errors,
+            is_identifiable=bool(errors[0] < _LARGEST_RELATIVE_ERROR),
+            residual_rms=float(np.sqrt(np.mean(off**2))),
             measured=(self.actual - self.commanded)[rows],
-            predicted=(found + offset[None] - self.commanded)[rows],
+            predicted=(response + offset[None] - self.commanded)[rows],
         )
 
 
@@ -171,7 +157,7 @@ def _response(
     command: Float[Array, "row 3"],
     step: Float[Array, ""],
 ) -> Float[Array, "row 3"]:
-    """Return what a controller makes of a command.
+    """Tips behind a controller [m], shape (row, 3), for its command.
 
     Args:
         x: Logarithm of the bandwidth [Hz], dead time [s], logarithm of zeta if any.
@@ -186,9 +172,4 @@ def _response(
     return controller.respond(command, step)
 
 
-@eqx.filter_jit
-def _slopes(
-    x: Float[Array, " unknown"], command: Float[Array, "row 3"], step: Array
-) -> Float[Array, "row 3 unknown"]:
-    run: Callable[[Array], Array] = lambda x: _response(x, command, step)
-    return jax.jacfwd(run)(x)
+_response_slopes = eqx.filter_jit(jax.jacfwd(_response))

@@ -1,6 +1,6 @@
 """Stiffness, damping and force coefficients from one record of a robot's cut."""
 
-from typing import NamedTuple
+import dataclasses
 
 import numpy as np
 from jaxtyping import Float
@@ -12,7 +12,8 @@ from .._record.channel import MeasuredChannel
 from .study import OnProgress, StudyError, silent
 
 
-class CoupledStudy(NamedTuple):
+@dataclasses.dataclass(frozen=True)
+class CoupledStudy:
     """A record of a robot's cut; see `identification.fit_coupled`.
 
     Attributes:
@@ -21,13 +22,14 @@ class CoupledStudy(NamedTuple):
         time: On the clock of the job's path [s], shape (row,).
         force: On the tool in `work`, as sampled [N], shape (row, 3), or None.
         deviation: Tip minus desired tip in `work` [m], shape (row, 3), or None.
-        fit: Names of what is fitted, or None.
+        fit: Names of the parameters to fit, or None.
         has_offset: Whether a constant deviation is fitted too.
         has_time_shift: Whether a shift of the clock is fitted too.
         loss: "squares" or "huber".
         notes: What was assumed.
         channels: The columns that were read; none where a script gives the numbers.
-        Fit: What it finds.
+        kind: Kind of the measurements.
+        Fit: Result of `run`.
     """
 
     name: str
@@ -41,11 +43,12 @@ class CoupledStudy(NamedTuple):
     loss: str
     notes: tuple[str, ...]
     channels: tuple[MeasuredChannel, ...] = ()
+    kind = "coupled"
     Fit = CoupledFit
 
     @property
     def compared(self) -> dict[str, Float[np.ndarray, "row 3"]]:
-        """What is compared with the simulation, "force" and "deviation".
+        """Measurements that are compared with the simulation, "force" and "deviation".
 
         The simulated force is a mean over the tooth period; a record that is sampled
         faster is averaged too.
@@ -60,7 +63,7 @@ class CoupledStudy(NamedTuple):
         """Fit the parameters of arm and cut.
 
         Args:
-            on_progress: Told what is being done.
+            on_progress: Receives a line about each step.
 
         Raises:
             StudyError: The record cannot be fitted.

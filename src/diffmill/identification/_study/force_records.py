@@ -1,6 +1,6 @@
 """Force coefficients from whole records."""
 
-from typing import NamedTuple
+import dataclasses
 
 import numpy as np
 
@@ -15,22 +15,24 @@ from .study import OnProgress, StudyError, silent
 
 # How far a tooth may stand off the angle that is given for it [deg]: a degree moves
 # the radial coefficients by some percent, and a mark is hardly known so well.
-_TOOTH_OFF = 10.0
+_TOOTH_ANGLE_TOLERANCE = 10.0
 # Axes are doubted if others score this much better.
-_BETTER = 0.05
+_SCORE_MARGIN = 0.05
 
 
-class ForceRecordStudyFit(NamedTuple):
-    """Coefficients of whole records, and what checks them.
+@dataclasses.dataclass(frozen=True)
+class ForceRecordStudyFit:
+    """Coefficients of whole records, with their checks.
 
     Attributes:
         registrations: Each record with its cut.
-        proposal: How the axes may lie, all records together.
+        proposal: Axes that suit all records together.
         fit: The coefficients.
-        predicted: Each record predicted by the others.
-        diagnoses: What is wrong with clocks, teeth, channels and units.
+        predicted: Predictions of each record by the others.
+        diagnoses: Faults of clocks, teeth, channels and units.
         has_likely_axes: Whether no other axes make more sense.
-        relative_uncertainty: One relative error that says as much as those of the fit.
+        relative_uncertainty: Equal relative error of all coefficients that makes the
+            force as uncertain.
     """
 
     registrations: tuple[RecordRegistration, ...]
@@ -42,38 +44,41 @@ class ForceRecordStudyFit(NamedTuple):
     relative_uncertainty: float
 
 
-class ForceRecordStudy(NamedTuple):
+@dataclasses.dataclass(frozen=True)
+class ForceRecordStudy:
     """Whole records of forces.
 
     Attributes:
         name: The file.
         records: The records.
-        settings: How they are fitted.
-        Fit: What it finds.
+        settings: Settings of the fit.
+        kind: Kind of the measurements.
+        Fit: Result of `run`.
     """
 
     name: str
     records: tuple[ForceRecord, ...]
     settings: ForceSettings
+    kind = "force_records"
     Fit = ForceRecordStudyFit
 
     def run(self, on_progress: OnProgress = silent) -> ForceRecordStudyFit:
         """Register the records on their cuts and fit the coefficients.
 
         Args:
-            on_progress: Told what is being done.
+            on_progress: Receives a line about each step.
 
         Raises:
             StudyError: A record does not overlap its cut, or cannot be fitted.
             SimulationFailed: A cut could not be simulated.
         """
-        settings, found = self.settings, []
+        settings, registrations = self.settings, []
         for record in self.records:
             on_progress(f"cut of {record.name}")
-            found.append(
+            registrations.append(
                 record.register(self.records, refines_speed=settings.refines_speed)
             )
-        proposal = combine_axes_proposals([one.proposal for one in found])
+        proposal = combine_axes_proposals([one.proposal for one in registrations])
         if settings.force_on is not None:
             proposal = proposal.for_right_handed_axes()
         axes = settings.axes or ("x", "y", "z")
@@ -83,13 +88,13 @@ class ForceRecordStudy(NamedTuple):
         is_fixed = all(record.time_shift is not None for record in self.records)
         reach = settings.shift_range
         if reach is None and all(record.knows_tooth for record in self.records):
-            turn = 2 * np.pi / max(one.spindle_speed for one in found)
-            reach = _TOOTH_OFF / 360 * turn
+            turn = 2 * np.pi / max(one.spindle_speed for one in registrations)
+            reach = _TOOTH_ANGLE_TOLERANCE / 360 * turn
         try:
             fit = fit_force_coefficients(
-                found,
-                [one.time for one in found],
-                [one.force for one in found],
+                registrations,
+                [one.time for one in registrations],
+                [one.force for one in registrations],
                 axes=axes,
                 time_shift=0.0 if is_fixed and reach is None else None,
                 shift_range=reach,
@@ -100,13 +105,13 @@ class ForceRecordStudy(NamedTuple):
         except ValueError as error:
             raise StudyError(f"{self.name}: {error}") from error
         used = next(c for c in proposal.candidates if c.axes == axes)
-        is_likely = used.score - proposal.proposals[0].score <= _BETTER
-        diagnoses = diagnoses_of(found)
+        is_likely = used.score - proposal.proposals[0].score <= _SCORE_MARGIN
+        diagnoses = diagnoses_of(registrations)
         # In wrong axes an offset explains the means, though no channel is wrong.
         diagnoses += fit.diagnoses if is_likely else ()
         rows = [one.engagement.columns.reshape(-1, 6) for one in fit.records]
         return ForceRecordStudyFit(
-            tuple(found),
+            tuple(registrations),
             proposal,
             fit,
             cross_validate(fit),

@@ -1,6 +1,6 @@
 """Joint stiffness from load tests."""
 
-from typing import NamedTuple
+import dataclasses
 
 import numpy as np
 from jaxtyping import Float
@@ -14,11 +14,12 @@ from .._stiffness.joint_stiffness import JointStiffnessFit, fit_joint_stiffness
 from .study import OnProgress, StudyError, silent
 
 # All springs this many times stiffer or softer than the model's: a unit is wrong.
-_OTHER_UNIT = 30.0
+_UNIT_FACTOR = 30.0
 
 
-class LoadTestStudyFit(NamedTuple):
-    """Joint stiffness, and what checks it.
+@dataclasses.dataclass(frozen=True)
+class LoadTestStudyFit:
+    """Joint stiffness, with its checks.
 
     Attributes:
         fit: The springs.
@@ -41,7 +42,8 @@ class LoadTestStudyFit(NamedTuple):
     relative_uncertainty: float
 
 
-class LoadTestStudy(NamedTuple):
+@dataclasses.dataclass(frozen=True)
+class LoadTestStudy:
     """Static load tests.
 
     Attributes:
@@ -59,7 +61,8 @@ class LoadTestStudy(NamedTuple):
         noise: "absolute", "relative" or None.
         notes: What was assumed.
         channels: The columns that were read; none where a script gives the numbers.
-        Fit: What it finds.
+        kind: Kind of the measurements.
+        Fit: Result of `run`.
     """
 
     name: str
@@ -74,13 +77,14 @@ class LoadTestStudy(NamedTuple):
     noise: str | None
     notes: tuple[str, ...]
     channels: tuple[MeasuredChannel, ...] = ()
+    kind = "load_tests"
     Fit = LoadTestStudyFit
 
     def run(self, on_progress: OnProgress = silent) -> LoadTestStudyFit:
         """Fit the springs and predict each test by the others.
 
         Args:
-            on_progress: Told what is being done.
+            on_progress: Receives a line about each step.
 
         Raises:
             StudyError: The tests cannot be fitted.
@@ -128,11 +132,11 @@ class LoadTestStudy(NamedTuple):
 
 
 def _unit_ratio(fit: JointStiffnessFit, model: Float[np.ndarray, " joint"]) -> float:
-    """Return how many times stiffer than the model all joints are, 1 if they agree."""
+    """Mean stiffness over that of the model, if a unit may be wrong; else 1."""
     known = fit.identifiable & np.isfinite(model) & (model > 0)
     if not known.any():
         return 1.0
     times = fit.stiffness[known] / model[known]
-    if times.min() <= _OTHER_UNIT and times.max() >= 1 / _OTHER_UNIT:
+    if times.min() <= _UNIT_FACTOR and times.max() >= 1 / _UNIT_FACTOR:
         return 1.0
     return float(np.exp(np.mean(np.log(times))))

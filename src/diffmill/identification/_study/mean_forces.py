@@ -1,11 +1,11 @@
 """Force coefficients from mean forces over several feeds."""
 
-from collections.abc import Sequence
-from typing import NamedTuple
+import dataclasses
 
 import numpy as np
 from jaxtyping import Float
 
+from .._alignment.axis_proposal import in_work_axes
 from .._alignment.record_registration import RecordRegistration
 from .._cut.straight_cut import StraightCut
 from .._force.mean_axis_assignment import MeanAxes, propose_mean_axes
@@ -23,10 +23,11 @@ from .study import OnProgress, silent
 
 # Axes are doubted if others score this much better: more than the sign of the axial
 # force and the hand of the axes, which decide where nothing else can.
-_BETTER = 0.2
+_SCORE_MARGIN = 0.2
 
 
-class Amplitude(NamedTuple):
+@dataclasses.dataclass(frozen=True)
+class Amplitude:
     """The tooth-passing frequency in one record, which the means do not show.
 
     Attributes:
@@ -38,20 +39,22 @@ class Amplitude(NamedTuple):
     predicted: Float[np.ndarray, " 3"]
 
 
-class MeanForceStudyFit(NamedTuple):
-    """Coefficients of mean forces, and what checks them.
+@dataclasses.dataclass(frozen=True)
+class MeanForceStudyFit:
+    """Coefficients of mean forces, with their checks.
 
     Attributes:
         axes: The assignments of the axes, the one with the most sense first.
-        used: That of the fit.
+        used: The assignment of the fit.
         force: Mean forces in its axes [N], shape (feed, 3).
         predicted: Each of them predicted by the other feeds [N], shape (feed, 3); NaN
             where they cannot.
         registrations: Each record with its cut; none for a table of means.
-        amplitudes: Of each record, likewise.
-        diagnoses: What is wrong with clocks, teeth and units.
+        amplitudes: Amplitudes at the tooth passing, one per record.
+        diagnoses: Faults of clocks, teeth and units.
         has_likely_axes: Whether no other axes make more sense.
-        relative_uncertainty: One relative error that says as much as those of the fit.
+        relative_uncertainty: Equal relative error of all coefficients that makes the
+            force as uncertain.
     """
 
     axes: tuple[MeanAxes, ...]
@@ -70,7 +73,8 @@ class MeanForceStudyFit(NamedTuple):
         return self.used.fit
 
 
-class MeanForceStudy(NamedTuple):
+@dataclasses.dataclass(frozen=True)
+class MeanForceStudy:
     """Mean forces over several feeds.
 
     Attributes:
@@ -79,10 +83,11 @@ class MeanForceStudy(NamedTuple):
         feed_per_tooth: [m], shape (feed,).
         mean_force: As recorded [N], shape (feed, 3).
         records: The records that the means are of; empty for a table.
-        settings: How they are fitted.
-        notes: What was assumed of a table.
+        settings: Settings of the fit.
+        notes: Assumptions about a table.
         channels: The columns that were read; none where a script gives the numbers.
-        Fit: What it finds.
+        kind: Kind of the measurements.
+        Fit: Result of `run`.
     """
 
     name: str
@@ -93,13 +98,14 @@ class MeanForceStudy(NamedTuple):
     settings: ForceSettings
     notes: tuple[str, ...]
     channels: tuple[MeasuredChannel, ...] = ()
+    kind = "mean_forces"
     Fit = MeanForceStudyFit
 
     def run(self, on_progress: OnProgress = silent) -> MeanForceStudyFit:
-        """Fit lines over the feed, and compare what they do not show.
+        """Fit lines over the feed, and compare the amplitudes that they do not show.
 
         Args:
-            on_progress: Told what is being done.
+            on_progress: Receives a line about each step.
 
         Raises:
             StudyError: A record does not overlap its cut.
@@ -117,7 +123,7 @@ class MeanForceStudy(NamedTuple):
         }
         on_progress("lines over the feed")
         feeds = self.feed_per_tooth
-        found = propose_mean_axes(
+        proposals = propose_mean_axes(
             feeds,
             self.mean_force,
             **shape,
@@ -126,14 +132,14 @@ class MeanForceStudy(NamedTuple):
         )
         axes = self.settings.axes or ("x", "y", "z")
         if self.settings.takes_proposed:
-            axes = found[0].axes
-        used = next(one for one in found if one.axes == axes)
-        force = _turned(self.mean_force, axes)
+            axes = proposals[0].axes
+        used = next(one for one in proposals if one.axes == axes)
+        force = in_work_axes(self.mean_force, axes)
         predicted = np.full_like(force, np.nan)
         for i in range(len(feeds)):
-            rest = feeds != feeds[i]
-            if np.unique(feeds[rest]).size >= 2:
-                line = fit_mean_forces(feeds[rest], force[rest], **shape)
+            others = feeds != feeds[i]
+            if np.unique(feeds[others]).size >= 2:
+                line = fit_mean_forces(feeds[others], force[others], **shape)
                 predicted[i] = line.slope * feeds[i] + line.offset
         registrations, amplitudes = [], []
         for record in self.records:
@@ -144,13 +150,13 @@ class MeanForceStudy(NamedTuple):
         slope, offset = mean_force_matrices(**shape)
         rows = np.concatenate([np.hstack([feed * slope, offset]) for feed in feeds])
         fit, diagnoses = used.fit, diagnoses_of(registrations)
-        is_likely = used.score <= found[0].score + _BETTER
+        is_likely = used.score <= proposals[0].score + _SCORE_MARGIN
         if is_likely:
             # In wrong axes no material has such coefficients, though no unit is wrong.
             K = [fit.coefficients[n] if fit.identifiable[n] else np.nan for n in NAMES]
             diagnoses += check_coefficients(np.array(K))
         return MeanForceStudyFit(
-            found,
+            proposals,
             used,
             force,
             predicted,
@@ -162,18 +168,10 @@ class MeanForceStudy(NamedTuple):
         )
 
 
-def _turned(
-    force: Float[np.ndarray, "row 3"], axes: Sequence[str]
-) -> Float[np.ndarray, "row 3"]:
-    """Return recorded forces in the axes of the feed."""
-    signs = np.array([-1.0 if name.startswith("-") else 1.0 for name in axes])
-    return force[:, ["xyz".index(name[-1]) for name in axes]] * signs[None]
-
-
 def _amplitude(
     record: ForceRecord, registration: RecordRegistration, used: MeanAxes
 ) -> Amplitude:
-    """Return the amplitude at the tooth passing, measured and predicted."""
+    """Amplitude at the tooth passing, measured and predicted."""
     time, force = record.samples()
     cut = registration.cut
     tooth = cut.tooth_period
@@ -184,11 +182,13 @@ def _amplitude(
         wave = np.exp(-2j * np.pi / tooth * when)
         return 2 * np.abs(np.mean(values * wave[:, None], axis=0))
 
-    measured = at_tooth(time[keep], _turned(force[keep], used.axes))
-    found = registration.engagement
+    measured = at_tooth(time[keep], in_work_axes(force[keep], used.axes))
+    engagement = registration.engagement
     K = np.array(list(used.fit.coefficients.values()))
-    wave = found.columns @ K + found.constant
-    samples_per_tooth = round(tooth / found.spacing)
+    wave = engagement.columns @ K + engagement.constant
+    samples_per_tooth = round(tooth / engagement.spacing)
     # The last whole revolutions: the cut begins within the stock.
     last = wave[-4 * samples_per_tooth * cut.cutter.flute_count :]
-    return Amplitude(measured, at_tooth(found.spacing * np.arange(len(last)), last))
+    return Amplitude(
+        measured, at_tooth(engagement.spacing * np.arange(len(last)), last)
+    )

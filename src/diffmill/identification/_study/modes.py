@@ -1,8 +1,8 @@
 """Modes of ring-downs or frequency responses, and the joints' dampers from them."""
 
+import dataclasses
 import itertools
 import math
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Complex, Float
@@ -19,45 +19,16 @@ from .._modal.ring_down import (
 from .._record.channel import MeasuredChannel
 from .study import OnProgress, StudyError, silent
 
-# A response is doubted of which modes explain less; another sign of its phase is the
-# cause if it leaves at most half as much.
-_LITTLE, _HALF = 0.9, 0.5
-# A measured frequency this far from the model's belongs to it hardly.
+# A response is doubted if modes explain a smaller share of it; another sign of its
+# phase is the cause if it leaves at most this share as much.
+_LEAST_EXPLAINED, _LESS_LEFT = 0.9, 0.5
+# Relative distance of a measured frequency from the model's at which both hardly are of
+# one mode.
 _FAR = 0.3
 
 
-class RingDown(NamedTuple):
-    """A free vibration.
-
-    Attributes:
-        name: The file.
-        time: [s], shape (sample,).
-        signal: Without its mean, shape (sample,).
-        mode_count: Number of modes.
-        frequencies: Guesses [Hz], shape (mode,), or None.
-        q: Joint positions [rad or m], shape (joint,), or None.
-        notes: What was assumed.
-        channels: The columns that were read; none where a script gives the numbers.
-    """
-
-    name: str
-    time: Float[np.ndarray, " sample"]
-    signal: Float[np.ndarray, " sample"]
-    mode_count: int
-    frequencies: Float[np.ndarray, " mode"] | None
-    q: Float[np.ndarray, " joint"] | None
-    notes: tuple[str, ...]
-    channels: tuple[MeasuredChannel, ...] = ()
-
-    def fit(self) -> RingDownFit:
-        """Return its modes."""
-        guess = self.frequencies
-        if guess is None:
-            guess = ring_down_frequencies(self.time, self.signal, self.mode_count)
-        return fit_ring_down(self.time, self.signal, guess)
-
-
-class ResponseFaults(NamedTuple):
+@dataclasses.dataclass(frozen=True)
+class ResponseFaults:
     """Signs of a frequency response that no structure has.
 
     Attributes:
@@ -69,7 +40,57 @@ class ResponseFaults(NamedTuple):
     is_reversed: bool = False
 
 
-class FrequencyResponse(NamedTuple):
+@dataclasses.dataclass(frozen=True)
+class RingDown:
+    """A free vibration.
+
+    Attributes:
+        name: The file.
+        time: [s], shape (sample,).
+        signal: Without its mean, shape (sample,).
+        mode_count: Number of modes.
+        frequencies: Guesses [Hz], shape (mode,), or None.
+        q: Joint positions [rad or m], shape (joint,), or None.
+        notes: What was assumed.
+        channels: The columns that were read; none where a script gives the numbers.
+        kind: Kind of the measurement.
+        Fit: Result of `fit`.
+    """
+
+    name: str
+    time: Float[np.ndarray, " sample"]
+    signal: Float[np.ndarray, " sample"]
+    mode_count: int
+    frequencies: Float[np.ndarray, " mode"] | None
+    q: Float[np.ndarray, " joint"] | None
+    notes: tuple[str, ...]
+    channels: tuple[MeasuredChannel, ...] = ()
+    kind = "ring_down"
+    Fit = RingDownFit
+
+    def fit(self) -> RingDownFit:
+        """Modes of the vibration.
+
+        Raises:
+            ValueError: It shows none.
+        """
+        guess = self.frequencies
+        if guess is None:
+            guess = ring_down_frequencies(self.time, self.signal, self.mode_count)
+        return fit_ring_down(self.time, self.signal, guess)
+
+    def faults(self, fit: RingDownFit | None) -> ResponseFaults:
+        """Signs that no structure has: none, since a vibration has no reference.
+
+        Args:
+            fit: Of the vibration.
+        """
+        del fit
+        return ResponseFaults()
+
+
+@dataclasses.dataclass(frozen=True)
+class FrequencyResponse:
     """A measured frequency response.
 
     Attributes:
@@ -85,6 +106,9 @@ class FrequencyResponse(NamedTuple):
         direction: In which the tool tip was struck and its motion measured, in the
             axes of the machine, of any length; None if it was not there.
         channels: The columns that were read; none where a script gives the numbers.
+        kind: Kind of the measurement.
+        Fit: Result of `fit`.
+        Faults: Result of `faults`.
     """
 
     name: str
@@ -96,11 +120,18 @@ class FrequencyResponse(NamedTuple):
     frequencies: Float[np.ndarray, " mode"] | None
     q: Float[np.ndarray, " joint"] | None
     notes: tuple[str, ...]
-    direction: list[float] | None = None
+    direction: list[int | float] | None = None
     channels: tuple[MeasuredChannel, ...] = ()
+    kind = "frequency_response"
+    Fit = FrequencyResponseFit
+    Faults = ResponseFaults
 
     def fit(self) -> FrequencyResponseFit:
-        """Return its modes."""
+        """Modes of the response.
+
+        Raises:
+            ValueError: It shows too few.
+        """
         band = self.is_fitted
         return fit_frequency_response(
             self.frequency[band],
@@ -111,7 +142,7 @@ class FrequencyResponse(NamedTuple):
         )
 
     def faults(self, fit: FrequencyResponseFit | None) -> ResponseFaults:
-        """Return which sign conventions of the response are not those of a structure.
+        """Signs of the response that no structure has.
 
         Energy goes into a damped structure and never out of it: with the phase of the
         other sign no modes are found. Where tip and sensor are one point, modes that
@@ -122,22 +153,27 @@ class FrequencyResponse(NamedTuple):
         """
         explained = -math.inf if fit is None else fit.explained
         is_conjugate = False
-        if explained < _LITTLE:
+        if explained < _LEAST_EXPLAINED:
             try:
-                other = self._replace(response=np.conj(self.response)).fit()
+                other = dataclasses.replace(self, response=np.conj(self.response)).fit()
             except ValueError:
                 other = None
-            if other is not None and other.explained >= _LITTLE:
-                left = _HALF * (1 - max(explained, 0.0))
+            if other is not None and other.explained >= _LEAST_EXPLAINED:
+                left = _LESS_LEFT * (1 - max(explained, 0.0))
                 is_conjugate = 1 - other.explained <= left
                 fit = other if is_conjugate else fit
         is_reversed = False
-        if self.direction is not None and fit is not None and fit.explained >= _LITTLE:
+        if (
+            self.direction is not None
+            and fit is not None
+            and fit.explained >= _LEAST_EXPLAINED
+        ):
             is_reversed = bool((1 / fit.stiffness).sum() < 0)
         return ResponseFaults(is_conjugate, is_reversed)
 
 
-class ModeMatch(NamedTuple):
+@dataclasses.dataclass(frozen=True)
+class ModeMatch:
     """A measured mode beside that of the model.
 
     Attributes:
@@ -157,7 +193,8 @@ class ModeMatch(NamedTuple):
     is_taken: bool
 
 
-class ModeStudyFit(NamedTuple):
+@dataclasses.dataclass(frozen=True)
+class ModeStudyFit:
     """Modes of each measurement, and the joints' dampers.
 
     Attributes:
@@ -173,14 +210,15 @@ class ModeStudyFit(NamedTuple):
     faults: tuple[ResponseFaults, ...]
 
 
-class ModeStudy(NamedTuple):
+@dataclasses.dataclass(frozen=True)
+class ModeStudy:
     """Ring-downs or frequency responses.
 
     Attributes:
         name: The file.
         robot: The robot with masses and joint stiffness, or None.
         measured: The measurements, all of one kind.
-        Fit: What it finds.
+        Fit: Result of `run`.
     """
 
     name: str
@@ -188,11 +226,16 @@ class ModeStudy(NamedTuple):
     measured: tuple[RingDown, ...] | tuple[FrequencyResponse, ...]
     Fit = ModeStudyFit
 
+    @property
+    def kind(self) -> str:
+        """Kind of the measurements."""
+        return self.measured[0].kind
+
     def run(self, on_progress: OnProgress = silent) -> ModeStudyFit:
         """Fit the modes, and the dampers if a robot and poses are given.
 
         Args:
-            on_progress: Told what is being done.
+            on_progress: Receives a line about each step.
 
         Raises:
             StudyError: A measurement cannot be fitted.
@@ -205,18 +248,16 @@ class ModeStudy(NamedTuple):
                 fit = one.fit()
             except ValueError as error:
                 reason = str(error)
-            found = ResponseFaults()
-            if isinstance(one, FrequencyResponse):
-                assert not isinstance(fit, RingDownFit)
-                found = one.faults(fit)
+            # A measurement and its own fit are of one kind.
+            fault = one.faults(fit)  # pyright: ignore[reportArgumentType]
             if fit is None:
-                if found.is_conjugate:
+                if fault.is_conjugate:
                     reason += (
                         " The phase has the wrong sign: with the other it shows them."
                     )
                 raise StudyError(f"{one.name}: {reason}")
             fits.append(fit)
-            faults.append(found)
+            faults.append(fault)
         robot = self.robot
         poses = {i: one.q for i, one in enumerate(self.measured) if one.q is not None}
         if robot is None or not poses:
@@ -227,7 +268,8 @@ class ModeStudy(NamedTuple):
             modes = zip(fits[i].frequencies, fits[i].damping_ratios, strict=True)
             for f, zeta in itertools.compress(modes, fits[i].identifiable):
                 k = int(np.argmin(np.abs(np.log(own / f))))
-                is_far, is_taken = abs(f / own[k] - 1) > _FAR, bool(np.isfinite(row[k]))
+                is_far = bool(abs(f / own[k] - 1) > _FAR)
+                is_taken = bool(np.isfinite(row[k]))
                 matches.append(
                     ModeMatch(i, float(f), k, float(own[k]), is_far, is_taken)
                 )

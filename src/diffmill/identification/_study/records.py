@@ -2,7 +2,6 @@
 
 import dataclasses
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -18,19 +17,8 @@ from .._record.record import Record
 from .study import StudyError
 
 
-class ForceSamples(NamedTuple):
-    """Samples of a force.
-
-    Attributes:
-        time: Instants [s], shape (row,).
-        force: [N], shape (row, 3); NaN where not known.
-    """
-
-    time: Float[np.ndarray, " row"]
-    force: Float[np.ndarray, "row 3"]
-
-
-class ForceRecord(NamedTuple):
+@dataclasses.dataclass(frozen=True)
+class ForceRecord:
     """A record of forces, ready to be registered on its cut.
 
     Attributes:
@@ -62,12 +50,14 @@ class ForceRecord(NamedTuple):
     tare: Tare | None = None
 
     def is_used(self) -> Bool[np.ndarray, " sample"]:
-        """Return which samples are of the part to be fitted."""
+        """True for samples of the part to be fitted, shape (sample,)."""
         time = self.record.time
         return (time >= self.start) & (time <= self.stop)
 
-    def samples(self) -> ForceSamples:
-        """Return the samples of the part to be fitted; NaN where not known.
+    def samples(
+        self,
+    ) -> tuple[Float[np.ndarray, " row"], Float[np.ndarray, "row 3"]]:
+        """Times [s] and forces [N] of the part to be fitted; NaN where not known.
 
         Those are forces without a channel, and saturated samples with their
         neighbours: of samples near the end of the range those would remain that noise
@@ -77,17 +67,19 @@ class ForceRecord(NamedTuple):
         is_lost = np.convolve(one.is_saturated, np.ones(3), mode="same") > 0.5
         is_known = ~is_lost[:, None] & np.array(one.is_measured)[None]
         force = np.where(is_known, one.force, np.nan)
-        return ForceSamples(one.time[keep], force[keep])
+        return one.time[keep], force[keep]
 
     def reversed(self) -> "ForceRecord":
-        """Return the record of the force on the tool, of that on the workpiece."""
+        """Record of the force on the tool, made of that on the workpiece."""
         force = -self.record.force
-        return self._replace(record=dataclasses.replace(self.record, force=force))
+        return dataclasses.replace(
+            self, record=dataclasses.replace(self.record, force=force)
+        )
 
     def register(
         self, others: "Sequence[ForceRecord]", *, refines_speed: bool
     ) -> RecordRegistration:
-        """Return the record registered on its cut.
+        """Registration of the record on its cut.
 
         Args:
             others: All records, among them this one: their cuts get stock of one size.
@@ -125,7 +117,7 @@ class ForceRecord(NamedTuple):
 
 
 def diagnoses_of(registrations: Sequence[RecordRegistration]) -> list[Diagnosis]:
-    """Return what clocks and teeth tell, each with the index of its record."""
+    """Diagnoses of clocks and teeth, each with the index of its record."""
     return [
         dataclasses.replace(one, record=i)
         for i, place in enumerate(registrations)
@@ -133,7 +125,8 @@ def diagnoses_of(registrations: Sequence[RecordRegistration]) -> list[Diagnosis]
     ]
 
 
-class ForceSettings(NamedTuple):
+@dataclasses.dataclass(frozen=True)
+class ForceSettings:
     """Settings of a force fit; see `identification.fit_force_coefficients`.
 
     Attributes:

@@ -1,29 +1,52 @@
 """Commanded and actual paths in the air, on one clock."""
 
+from typing import Literal
+
 import numpy as np
+from pydantic import Field
 
 from ...identification import ControllerStudy
 from ...io import ProgramError, read_path_csv
 from ...toolpath import Path
+from .._schema.table import TomlTable
 from .context import Context
-from .schema import AirPathTable
+from .fields import File
+from .kind import IdentificationKind
 
 # Usual steps between two rows from which on nobody knows what lies between them.
 _GAP = 2.5
 
 
-def read_air_path(
-    name: str, table: AirPathTable, context: Context
+class AirPathTable(TomlTable):
+    """`[air_path]`."""
+
+    commanded: File = Field(
+        description='commanded path as CSV, such as "commanded.csv"'
+    )
+    actual: File = Field(
+        description="recorded path as CSV on the clock of the commanded one, such as "
+        '"actual.csv"'
+    )
+    order: Literal["first", "second"] = Field(
+        default="second",
+        description="order of the servos; first for those with following error",
+    )
+
+
+def _read(
+    name: str, context: Context, *, air_path: AirPathTable | None = None
 ) -> ControllerStudy | None:
-    """Return both paths at the instants of the record, or None with problems noted.
+    """Study of both paths at the instants of the record, or None with problems noted.
 
     Args:
         name: The file that asks for it.
-        table: `[air_path]`.
         context: Folder and problems.
+        air_path: `[air_path]`.
     """
-    commanded = _path(table.commanded, "commanded", context)
-    actual = _path(table.actual, "actual", context)
+    if air_path is None:
+        return None
+    commanded = _path(air_path.commanded, "commanded", context)
+    actual = _path(air_path.actual, "actual", context)
     if commanded is None or actual is None:
         return None
     steps = np.diff(actual.time)
@@ -56,13 +79,13 @@ def read_air_path(
         commanded=at(commanded),
         actual=at(actual),
         is_recorded=np.asarray(is_recorded),
-        order=table.order,
+        order=air_path.order,
         notes=tuple(notes),
     )
 
 
 def _path(name: str, key: str, context: Context) -> Path | None:
-    """Return a path that is named, or None with its faults noted."""
+    """Path from a file, or None with its faults noted."""
     file = context.file(name, f"[air_path] {key}")
     if file is None:
         return None
@@ -73,3 +96,8 @@ def _path(name: str, key: str, context: Context) -> Path | None:
             f"[air_path] {key}: {line}" for line in str(error).splitlines()
         )
         return None
+
+
+KIND = IdentificationKind(
+    "controller", required={"air_path": AirPathTable}, optional={}, read=_read
+)

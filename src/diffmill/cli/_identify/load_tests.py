@@ -1,4 +1,4 @@
-"""Joint stiffness from load tests: what is said of it, and figures."""
+"""Joint stiffness from load tests: report and figures."""
 
 import functools
 
@@ -11,13 +11,13 @@ from ...viz import (
     plot_load_residual,
     plot_prediction,
 )
-from .report import Report, all_noted, noted
-from .text import uncertainty_remark
+from .reading import channel_lines, note_lines
+from .report import Report, all_noted, noted, uncertainty_remark
 from .toml_snippets import doubted, joints_toml, uncertainty_toml
 
 
-def report_load_tests(study: LoadTestStudy, found: LoadTestStudy.Fit) -> Report:
-    """Return the report of joint stiffness.
+def report(study: LoadTestStudy, found: LoadTestStudy.Fit) -> Report:
+    """Report of joint stiffness.
 
     Args:
         study: The load tests.
@@ -32,7 +32,7 @@ def report_load_tests(study: LoadTestStudy, found: LoadTestStudy.Fit) -> Report:
             "model."
         )
     facts = {
-        "kind": "load_tests",
+        "kind": study.kind,
         "joints": list(fit.joint_names),
         "stiffness_SI": fit.stiffness,
         "standard_errors_SI": fit.standard_errors,
@@ -87,8 +87,14 @@ def report_load_tests(study: LoadTestStudy, found: LoadTestStudy.Fit) -> Report:
     return Report(lines, toml, facts, figures)
 
 
+def reading(study: LoadTestStudy) -> list[str]:
+    """Load tests in words, line by line."""
+    head = f"  {len(study.rows)} load tests of {study.robot.name}"
+    return [head, *channel_lines(study.channels), *note_lines(study.notes)]
+
+
 def _toml(study: LoadTestStudy, found: LoadTestStudy.Fit) -> list[str]:
-    """Return the tables for a job."""
+    """Tables for a job."""
     fit = found.fit
     if not fit.identifiable.any():
         why = "the table does not suit the robot"
@@ -104,7 +110,7 @@ def _toml(study: LoadTestStudy, found: LoadTestStudy.Fit) -> list[str]:
 
 
 def _stiffness_lines(study: LoadTestStudy, found: LoadTestStudy.Fit) -> list[str]:
-    """Return springs and how far to trust them."""
+    """Springs with their errors and doubts."""
     robot, fit = study.robot, found.fit
     lines = [f"{len(study.rows)} load tests of {robot.name}"]
     lines += all_noted(study.notes)
@@ -162,7 +168,7 @@ def _part(study: LoadTestStudy) -> str:
 
 
 def _advice(study: LoadTestStudy, found: LoadTestStudy.Fit) -> list[str]:
-    """Return load tests that would show what the table does not."""
+    """Load tests that would show the joints that the table does not."""
     if found.lacks_model:
         return noted(
             "Further tests can be proposed once the model has a rough stiffness for "
