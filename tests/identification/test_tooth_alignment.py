@@ -1,7 +1,6 @@
 """Which tooth is which in records of a cutter with run-out: NumPy, no simulation."""
 
 import math
-from typing import Any
 
 import numpy as np
 from slot_force import SPEED, K, R
@@ -57,7 +56,7 @@ def registered(feed, teeth, first_tooth, seed, noise):
     seen = force(time + first_tooth * TURN / teeth, feed, teeth)
     seen += noise * np.random.default_rng(seed).normal(size=seen.shape)
     # The axes are known, so that a fit does not read their proposal.
-    proposal: Any = None
+    proposal = identification.propose_axes(seen, np.ones((len(seen), 3, 6)), 1e4)
     return identification.RecordRegistration(
         cut, columns, time, seen, 0.0, proposal, None, SPEED, ()
     )

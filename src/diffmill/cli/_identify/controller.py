@@ -9,37 +9,37 @@ from .report import Report, all_noted, noted
 from .toml_snippets import Rounded
 
 
-def report(study: ControllerStudy, found: ControllerStudy.Fit) -> Report:
+def report(study: ControllerStudy, result: ControllerStudy.Fit) -> Report:
     """Report of a controller.
 
     Args:
         study: The paths in the air.
-        found: Their fit.
+        result: Their fit.
     """
-    errors, zeta = found.standard_errors, found.damping_ratio
+    errors, zeta = result.standard_errors, result.damping_ratio
     lines = [
         f"{int(study.is_recorded.sum())} rows of a path in the air, every "
         f"{study.time_step * 1e3:.3g} ms",
         *all_noted(study.notes),
         "",
-        f"bandwidth      {found.bandwidth:9.4g} +- {errors['bandwidth']:.2g} Hz "
+        f"bandwidth      {result.bandwidth:9.4g} +- {errors['bandwidth']:.2g} Hz "
         f"(servo of {study.order} order)",
     ]
     if zeta is not None:
         lines.append(f"damping ratio  {zeta:9.4g} +- {errors['damping_ratio']:.2g}")
     lines += [
-        f"dead time      {found.dead_time * 1e3:9.4g} +- "
+        f"dead time      {result.dead_time * 1e3:9.4g} +- "
         f"{errors['dead_time'] * 1e3:.2g} ms",
-        f"left: {found.residual_rms * 1e6:.3g} um rms per axis",
+        f"left: {result.residual_rms * 1e6:.3g} um rms per axis",
     ]
     toml = ["[controller]"]
-    if found.is_identifiable:
-        number, error = Rounded.of(found.bandwidth, errors["bandwidth"])
+    if result.is_identifiable:
+        number, error = Rounded.of(result.bandwidth, errors["bandwidth"])
         toml.append(f'bandwidth = "{number} Hz"      # +- {error}')
         if zeta is not None:
             number, error = Rounded.of(zeta, errors["damping_ratio"])
             toml.append(f"damping_ratio = {number}        # +- {error}")
-        late = Rounded.of(1e3 * found.dead_time, 1e3 * errors["dead_time"])
+        late = Rounded.of(1e3 * result.dead_time, 1e3 * errors["dead_time"])
         toml.append(f'dead_time = "{late.value} ms"      # +- {late.error}')
     else:
         toml = ["# No bandwidth: this path does not show it; see summary.txt."]
@@ -51,18 +51,18 @@ def report(study: ControllerStudy, found: ControllerStudy.Fit) -> Report:
         )
     facts = {
         "kind": study.kind,
-        "bandwidth_Hz": found.bandwidth,
+        "bandwidth_Hz": result.bandwidth,
         "damping_ratio": zeta,
-        "dead_time_s": found.dead_time,
+        "dead_time_s": result.dead_time,
         "standard_errors": errors,
-        "is_identifiable": found.is_identifiable,
-        "residual_rms_m": found.residual_rms,
+        "is_identifiable": result.is_identifiable,
+        "residual_rms_m": result.residual_rms,
         "notes": list(study.notes),
     }
     draw = functools.partial(
         plot_prediction,
-        found.measured,
-        found.predicted,
+        result.measured,
+        result.predicted,
         unit="\u00b5m",
         scale=1e6,
         what="d",

@@ -28,19 +28,19 @@ from .report import (
 from .toml_snippets import NOISE_ALONE, cutter_toml, fitted_force_toml
 
 
-def report(study: ForceRecordStudy, found: ForceRecordStudy.Fit) -> Report:
+def report(study: ForceRecordStudy, result: ForceRecordStudy.Fit) -> Report:
     """Report of coefficients from records.
 
     Args:
         study: The records.
-        found: Their fit.
+        result: Their fit.
     """
-    fit, records = found.fit, study.records
-    of_fit = fit.diagnoses if found.has_likely_axes else ()
+    fit, records = result.fit, study.records
+    of_fit = fit.diagnoses if result.has_likely_axes else ()
     lines = [
-        *record_lines(records, found.registrations),
-        *axes_lines(study, found),
-        *_fit_lines(study, found),
+        *record_lines(records, result.registrations),
+        *axes_lines(study, result),
+        *_fit_lines(study, result),
         *diagnosis_lines(of_fit, fit.axes, [one.name for one in records]),
         *tooth_lines(
             records,
@@ -50,8 +50,8 @@ def report(study: ForceRecordStudy, found: ForceRecordStudy.Fit) -> Report:
         ),
     ]
     doubts = [one.partition(":")[0] for one in fit.doubts]
-    toml = fitted_force_toml(found, doubts, cutter_toml(found))
-    return Report(lines, toml, _facts(study, found), _figures(study, found))
+    toml = fitted_force_toml(result, doubts, cutter_toml(result))
+    return Report(lines, toml, _facts(study, result), _figures(study, result))
 
 
 def reading(study: ForceRecordStudy) -> list[str]:
@@ -59,9 +59,9 @@ def reading(study: ForceRecordStudy) -> list[str]:
     return [line for one in study.records for line in reading_lines(one)]
 
 
-def _fit_lines(study: ForceRecordStudy, found: ForceRecordStudy.Fit) -> list[str]:
+def _fit_lines(study: ForceRecordStudy, result: ForceRecordStudy.Fit) -> list[str]:
     """Coefficients with their errors and doubts."""
-    fit = found.fit
+    fit = result.fit
     names = list(fit.coefficients)
     lines = [
         "",
@@ -82,7 +82,7 @@ def _fit_lines(study: ForceRecordStudy, found: ForceRecordStudy.Fit) -> list[str
         f"{fit.residual_rms:.4g} N of {fit.force_rms:.4g} N rms"
     )
     lines += all_noted(fit.doubts, "warning")
-    for part in found.predicted:
+    for part in result.predicted:
         lines.append(
             f"left out: {study.records[part.record].name}, predicted {part.what}: "
             f"{part.explained:.2%} of the squared force explained, {part.error:.2%} of "
@@ -92,9 +92,9 @@ def _fit_lines(study: ForceRecordStudy, found: ForceRecordStudy.Fit) -> list[str
     return lines + all_noted(fit.notes[len(fit.doubts) :])
 
 
-def _facts(study: ForceRecordStudy, found: ForceRecordStudy.Fit) -> dict[str, Any]:
+def _facts(study: ForceRecordStudy, result: ForceRecordStudy.Fit) -> dict[str, Any]:
     """Numbers for `identified.json`."""
-    fit = found.fit
+    fit = result.fit
     return {
         "kind": study.kind,
         "records": [record.name for record in study.records],
@@ -122,10 +122,10 @@ def _facts(study: ForceRecordStudy, found: ForceRecordStudy.Fit) -> dict[str, An
                 "violations": one.violations,
                 "coefficients_SI": one.coefficients,
             }
-            for one in found.proposal.proposals
+            for one in result.proposal.proposals
         ],
-        "axes_are_clear": found.proposal.is_clear,
-        "axes_evidence": found.proposal.evidence,
+        "axes_are_clear": result.proposal.is_clear,
+        "axes_evidence": result.proposal.evidence,
         "time_shift_s": fit.time_shift,
         "left_out": [
             {
@@ -134,23 +134,23 @@ def _facts(study: ForceRecordStudy, found: ForceRecordStudy.Fit) -> dict[str, An
                 "error": part.error,
                 "explained": part.explained,
             }
-            for part in found.predicted
+            for part in result.predicted
         ],
         "notes": [*fit.notes, *(n for r in study.records for n in r.notes)],
-        "diagnoses": diagnosis_facts(found.diagnoses),
+        "diagnoses": diagnosis_facts(result.diagnoses),
     }
 
 
 def _figures(
-    study: ForceRecordStudy, found: ForceRecordStudy.Fit
+    study: ForceRecordStudy, result: ForceRecordStudy.Fit
 ) -> dict[str, Callable[[], Any]]:
     """Functions that draw the figures."""
-    fit, draw = found.fit, functools.partial
+    fit, draw = result.fit, functools.partial
     names = list(fit.coefficients)
     figures: dict[str, Callable[[], Any]] = {}
     for i, (record, one) in enumerate(zip(study.records, fit.records, strict=True)):
         number = f"_{i + 1}" if len(study.records) > 1 else ""
-        off, part = fit.residual_force(i), found.predicted[i]
+        off, part = fit.residual_force(i), result.predicted[i]
         spectrum = fit.residual_spectrum(i)
         figures[f"record{number}"] = draw(
             plot_force_fit,

@@ -24,16 +24,16 @@ _UNITS = {
 }
 
 
-def report(study: ModeStudy, found: ModeStudy.Fit) -> Report:
+def report(study: ModeStudy, result: ModeStudy.Fit) -> Report:
     """Report of the modes of frequency responses.
 
     Args:
         study: The responses.
-        found: Their fit.
+        result: Their fit.
     """
     parts = []
     # All of them are of this kind.
-    triples: Any = zip(study.measured, found.modes, found.faults, strict=True)
+    triples: Any = zip(study.measured, result.modes, result.faults, strict=True)
     for one, fit, faults in triples:
         texts = _fault_texts(faults)
         stiffness = [
@@ -60,7 +60,7 @@ def report(study: ModeStudy, found: ModeStudy.Fit) -> Report:
         if one.direction is not None:
             machine = _mode_tables(one, fit, has_faults=bool(texts))
         parts.append(MeasuredModes(lines, facts, draw, machine))
-    return modes_report(study, found, parts)
+    return modes_report(study, result, parts)
 
 
 def reading(study: ModeStudy) -> list[str]:

@@ -116,12 +116,12 @@ def _identify(
 class KindInWords(Protocol):
     """Module of this room with the name of a kind of identification."""
 
-    def report(self, study: "Study", found: object, /) -> Report:
+    def report(self, study: "Study", result: object, /) -> Report:
         """Report of a fit.
 
         Args:
             study: The study.
-            found: Result of its `run`.
+            result: Result of its `run`.
         """
         ...
 

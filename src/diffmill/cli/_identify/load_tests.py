@@ -16,18 +16,18 @@ from .report import Report, all_noted, noted, uncertainty_remark
 from .toml_snippets import doubted, joints_toml, uncertainty_toml
 
 
-def report(study: LoadTestStudy, found: LoadTestStudy.Fit) -> Report:
+def report(study: LoadTestStudy, result: LoadTestStudy.Fit) -> Report:
     """Report of joint stiffness.
 
     Args:
         study: The load tests.
-        found: Their fit.
+        result: Their fit.
     """
-    fit, check = found.fit, found.check
+    fit, check = result.fit, result.check
     doubts = []
-    if found.unit_ratio != 1.0:
+    if result.unit_ratio != 1.0:
         doubts.append(
-            f"All joints that are known have about {found.unit_ratio:.2g} times the "
+            f"All joints that are known have about {result.unit_ratio:.2g} times the "
             "model's stiffness: look at the units of load and displacement, and at the "
             "model."
         )
@@ -77,11 +77,11 @@ def report(study: LoadTestStudy, found: LoadTestStudy.Fit) -> Report:
             labels=[f"row {rows[i]}" for i in fit.outliers],
         )
     lines = [
-        *_stiffness_lines(study, found),
-        *_advice(study, found),
+        *_stiffness_lines(study, result),
+        *_advice(study, result),
         *all_noted(doubts, "warning"),
     ]
-    toml = _toml(study, found)
+    toml = _toml(study, result)
     if doubts:
         toml = doubted(toml, "A unit of the table may be wrong; see summary.txt.")
     return Report(lines, toml, facts, figures)
@@ -93,9 +93,9 @@ def reading(study: LoadTestStudy) -> list[str]:
     return [head, *channel_lines(study.channels), *note_lines(study.notes)]
 
 
-def _toml(study: LoadTestStudy, found: LoadTestStudy.Fit) -> list[str]:
+def _toml(study: LoadTestStudy, result: LoadTestStudy.Fit) -> list[str]:
     """Tables for a job."""
-    fit = found.fit
+    fit = result.fit
     if not fit.identifiable.any():
         why = "the table does not suit the robot"
         if fit.is_consistent:
@@ -105,13 +105,13 @@ def _toml(study: LoadTestStudy, found: LoadTestStudy.Fit) -> list[str]:
     remark = uncertainty_remark(fit.joint_names, known)
     return [
         *joints_toml(study.robot, "joint_stiffness", values, errors, known),
-        *uncertainty_toml("stiffness", found.relative_uncertainty, remark),
+        *uncertainty_toml("stiffness", result.relative_uncertainty, remark),
     ]
 
 
-def _stiffness_lines(study: LoadTestStudy, found: LoadTestStudy.Fit) -> list[str]:
+def _stiffness_lines(study: LoadTestStudy, result: LoadTestStudy.Fit) -> list[str]:
     """Springs with their errors and doubts."""
-    robot, fit = study.robot, found.fit
+    robot, fit = study.robot, result.fit
     lines = [f"{len(study.rows)} load tests of {robot.name}"]
     lines += all_noted(study.notes)
     width = 2 + max(len(name) for name in fit.joint_names)
@@ -151,10 +151,10 @@ def _stiffness_lines(study: LoadTestStudy, found: LoadTestStudy.Fit) -> list[str
             + (" and were left out." if fit.is_consistent else "."),
             "warning",
         )
-    if np.isfinite(found.check.error):
+    if np.isfinite(result.check.error):
         lines.append(
             f"left out: {_part(study)} predicted by the others, "
-            f"{found.check.error:.1%} of the displacement rms off"
+            f"{result.check.error:.1%} of the displacement rms off"
         )
     else:
         lines.append("left out: nothing, there are no other rows to predict one by")
@@ -167,14 +167,14 @@ def _part(study: LoadTestStudy) -> str:
     return "each row" if len(study.rows) <= 5 else "each fifth of the rows"
 
 
-def _advice(study: LoadTestStudy, found: LoadTestStudy.Fit) -> list[str]:
+def _advice(study: LoadTestStudy, result: LoadTestStudy.Fit) -> list[str]:
     """Load tests that would show the joints that the table does not."""
-    if found.lacks_model:
+    if result.lacks_model:
         return noted(
             "Further tests can be proposed once the model has a rough stiffness for "
             "every joint (joint_stiffness in [robot])."
         )
-    tests = found.advice
+    tests = result.advice
     if tests is None:
         return []
     lines = ["load tests that would help most:"]

@@ -27,26 +27,26 @@ from .report import (
 from .toml_snippets import NOISE_ALONE, fitted_force_toml
 
 
-def report(study: MeanForceStudy, found: MeanForceStudy.Fit) -> Report:
+def report(study: MeanForceStudy, result: MeanForceStudy.Fit) -> Report:
     """Report of coefficients from mean forces.
 
     Args:
         study: The means.
-        found: Their fit.
+        result: Their fit.
     """
-    used, fit = found.used, found.fit
+    used, fit = result.used, result.fit
     names = [record.name for record in study.records]
     lines = [
         *_input_lines(study),
-        *diagnosis_lines(found.diagnoses, records=names),
-        *_axes_lines(study, found),
-        *_fit_lines(found),
+        *diagnosis_lines(result.diagnoses, records=names),
+        *_axes_lines(study, result),
+        *_fit_lines(result),
     ]
-    if found.amplitudes:
+    if result.amplitudes:
         lines.append(
             "amplitude at the tooth passing, not fitted [N]: predicted / measured"
         )
-    for record, one in zip(study.records, found.amplitudes, strict=True):
+    for record, one in zip(study.records, result.amplitudes, strict=True):
         parts = [
             f"F{a} {p:.4g} / {m:.4g}"
             for a, p, m in zip("xyz", one.predicted, one.measured, strict=True)
@@ -57,29 +57,29 @@ def report(study: MeanForceStudy, found: MeanForceStudy.Fit) -> Report:
         "records": names,
         "tare": tare_facts(study.records),
         "feed_per_tooth_m": study.feed_per_tooth,
-        "mean_force_N": found.force,
+        "mean_force_N": result.force,
         "axes": used.axes,
         "force_on": study.settings.force_on,
-        "proposed_axes": found.axes[0].axes,
+        "proposed_axes": result.axes[0].axes,
         "coefficients_SI": fit.coefficients,
         "standard_errors_SI": fit.standard_errors,
         "correlation": fit.correlation,
         "identifiable": fit.identifiable,
         "r_squared": fit.r_squared,
-        "relative_uncertainty": found.relative_uncertainty,
-        "left_out_N": found.predicted,
-        "amplitudes_N": [dataclasses.asdict(one) for one in found.amplitudes],
+        "relative_uncertainty": result.relative_uncertainty,
+        "left_out_N": result.predicted,
+        "amplitudes_N": [dataclasses.asdict(one) for one in result.amplitudes],
         "notes": study.notes,
-        "diagnoses": diagnosis_facts(found.diagnoses),
+        "diagnoses": diagnosis_facts(result.diagnoses),
     }
     figures = {
         "mean_forces": functools.partial(
             plot_mean_forces,
             study.feed_per_tooth,
-            found.force,
+            result.force,
             fit.slope,
             fit.offset,
-            predicted=found.predicted,
+            predicted=result.predicted,
         ),
         "correlation": functools.partial(
             plot_correlation, list(fit.coefficients), fit.correlation
@@ -92,7 +92,7 @@ def report(study: MeanForceStudy, found: MeanForceStudy.Fit) -> Report:
         doubts = ["No coefficient is identifiable"]
     if any(record.is_saturated for record in study.records):
         doubts.append("Samples of a record are saturated")
-    return Report(lines, fitted_force_toml(found, doubts), facts, figures)
+    return Report(lines, fitted_force_toml(result, doubts), facts, figures)
 
 
 def reading(study: MeanForceStudy) -> list[str]:
@@ -137,9 +137,9 @@ def _input_lines(study: MeanForceStudy) -> list[str]:
     return lines
 
 
-def _axes_lines(study: MeanForceStudy, found: MeanForceStudy.Fit) -> list[str]:
+def _axes_lines(study: MeanForceStudy, result: MeanForceStudy.Fit) -> list[str]:
     """Axes of the fit, and others that suit the means; nothing is changed."""
-    used = found.used
+    used = result.used
     settings = study.settings
     why = "as given or recorded"
     if settings.takes_proposed:
@@ -149,8 +149,8 @@ def _axes_lines(study: MeanForceStudy, found: MeanForceStudy.Fit) -> list[str]:
         f"  {force_on_text(used.axes, settings.force_on)}",
     ]
     lines += [f"  against them: {violation}" for violation in used.violations]
-    best = found.axes[0]
-    if not found.has_likely_axes:
+    best = result.axes[0]
+    if not result.has_likely_axes:
         against = "; ".join(best.violations) or "nothing"
         lines += noted(
             f"The axes {axes_text(best.axes)} make more sense (against them: {against};"
@@ -161,7 +161,7 @@ def _axes_lines(study: MeanForceStudy, found: MeanForceStudy.Fit) -> list[str]:
             '`axes` or `force_on` in [fit], or axes = "proposed".',
             "warning",
         )
-    alike = [one for one in found.axes if one.score <= best.score and one is not best]
+    alike = [one for one in result.axes if one.score <= best.score and one is not best]
     if alike:
         names = ", ".join(axes_text(one.axes) for one in alike[:4])
         lines += noted(
@@ -171,9 +171,9 @@ def _axes_lines(study: MeanForceStudy, found: MeanForceStudy.Fit) -> list[str]:
     return lines
 
 
-def _fit_lines(found: MeanForceStudy.Fit) -> list[str]:
+def _fit_lines(result: MeanForceStudy.Fit) -> list[str]:
     """Coefficients with their errors and doubts."""
-    fit, force, left = found.fit, found.force, found.predicted
+    fit, force, left = result.fit, result.force, result.predicted
     lines = [
         "",
         *coefficient_lines(

@@ -39,28 +39,28 @@ class MeasuredModes:
 
 
 def modes_report(
-    study: ModeStudy, found: ModeStudy.Fit, parts: Sequence[MeasuredModes]
+    study: ModeStudy, result: ModeStudy.Fit, parts: Sequence[MeasuredModes]
 ) -> Report:
     """Report of modes, and of the joints' dampers.
 
     Args:
         study: The measurements.
-        found: Their fit.
+        result: Their fit.
         parts: Reports of the single measurements.
     """
     lines = [line for part in parts for line in part.lines]
-    lines += _match_lines(study, found)
+    lines += _match_lines(study, result)
     facts: dict[str, object] = {
         "kind": study.kind,
         "measured": [
             {"name": one.name, **part.facts, **dataclasses.asdict(faults)}
             for one, part, faults in zip(
-                study.measured, parts, found.faults, strict=True
+                study.measured, parts, result.faults, strict=True
             )
         ],
     }
     figures: dict[str, Callable[[], Figure]] = {}
-    for i, (fit, part) in enumerate(zip(found.modes, parts, strict=True), 1):
+    for i, (fit, part) in enumerate(zip(result.modes, parts, strict=True), 1):
         number = f"_{i}" if len(parts) > 1 else ""
         modes = range(1, len(fit.frequencies) + 1)
         names = [f"{what} {k}" for what in ("f", "zeta") for k in modes]
@@ -68,9 +68,9 @@ def modes_report(
             plot_correlation, names, fit.correlation
         )
         figures[f"{study.kind}{number}"] = part.draw
-    damping, robot = found.damping, study.robot
+    damping, robot = result.damping, study.robot
     if damping is not None and robot is not None:
-        lines += _damper_lines(study, found)
+        lines += _damper_lines(study, result)
         facts["joints"] = list(robot.joint_names)
         facts["damping_SI"] = damping.damping
         facts["damping_errors_SI"] = damping.standard_errors
@@ -87,7 +87,7 @@ def modes_report(
             plot_correlation, robot.joint_names, damping.correlation
         )
     machine = [line for part in parts for line in part.machine]
-    return Report(lines, machine or _damper_toml(study, found), facts, figures)
+    return Report(lines, machine or _damper_toml(study, result), facts, figures)
 
 
 def vibration_reading(head: str, one: RingDown | FrequencyResponse) -> list[str]:
@@ -104,9 +104,9 @@ def vibration_reading(head: str, one: RingDown | FrequencyResponse) -> list[str]
     ]
 
 
-def _damper_toml(study: ModeStudy, found: ModeStudy.Fit) -> list[str]:
+def _damper_toml(study: ModeStudy, result: ModeStudy.Fit) -> list[str]:
     """Tables of the joints' dampers for a job."""
-    damping, robot = found.damping, study.robot
+    damping, robot = result.damping, study.robot
     if damping is None or robot is None:
         return [
             "# Modes only: give [robot] and joint_positions for the joints' dampers."
@@ -121,7 +121,7 @@ def _damper_toml(study: ModeStudy, found: ModeStudy.Fit) -> list[str]:
         *joints_toml(robot, "joint_damping", values, errors, known),
         *uncertainty_toml("damping", share, remark),
     ]
-    for one, fit in zip(study.measured, found.modes, strict=True):
+    for one, fit in zip(study.measured, result.modes, strict=True):
         if fit.explained < LEAST_EXPLAINED:
             return doubted(lines, too_little(one))
     return lines
@@ -180,10 +180,10 @@ def mode_lines(
     return lines
 
 
-def _match_lines(study: ModeStudy, found: ModeStudy.Fit) -> list[str]:
+def _match_lines(study: ModeStudy, result: ModeStudy.Fit) -> list[str]:
     """Measured modes beside those of the model."""
     lines = []
-    for one in found.matches:
+    for one in result.matches:
         lines.append(
             f"  {study.measured[one.measurement].name}: {one.frequency:.4g} Hz is "
             f"taken for mode {one.mode + 1} of the model, {one.own:.4g} Hz "
@@ -200,14 +200,14 @@ def _match_lines(study: ModeStudy, found: ModeStudy.Fit) -> list[str]:
                 "warning",
             )
     has_poses = any(one.q is not None for one in study.measured)
-    if found.damping is None and study.robot is not None and has_poses:
+    if result.damping is None and study.robot is not None and has_poses:
         lines.append("no measured mode belongs to the model")
     return lines
 
 
-def _damper_lines(study: ModeStudy, found: ModeStudy.Fit) -> list[str]:
+def _damper_lines(study: ModeStudy, result: ModeStudy.Fit) -> list[str]:
     """Dampers of the joints with their errors and doubts."""
-    fit = found.damping
+    fit = result.damping
     assert fit is not None and study.robot is not None
     lines = ["", "joint dampers [N m s/rad, N s/m]:"]
     for i, name in enumerate(study.robot.joint_names):

@@ -98,16 +98,16 @@ def record_lines(
     return lines
 
 
-def axes_lines(study: ForceRecordStudy, found: ForceRecordStudy.Fit) -> list[str]:
+def axes_lines(study: ForceRecordStudy, result: ForceRecordStudy.Fit) -> list[str]:
     """Axes of the fit, and others that suit the records; nothing is changed.
 
     Args:
         study: The records, and what the file says of their axes.
-        found: The fit.
+        result: The fit.
     """
     records, takes_proposed = study.records, study.settings.takes_proposed
     force_on = study.settings.force_on
-    proposal, axes = found.proposal, found.fit.axes
+    proposal, axes = result.proposal, result.fit.axes
     best = proposal.proposals[0]
     used = next(c for c in proposal.candidates if c.axes == axes)
     why = "the likeliest, as asked for" if takes_proposed else "as given or recorded"
@@ -115,7 +115,7 @@ def axes_lines(study: ForceRecordStudy, found: ForceRecordStudy.Fit) -> list[str
         f"axes: {axes_text(axes)} ({why})",
         f"  {force_on_text(axes, force_on)}",
     ]
-    if not found.has_likely_axes:
+    if not result.has_likely_axes:
         lines += noted(
             f"The axes {axes_text(best.axes)} make more sense: score "
             f"{best.score:.3f} against {used.score:.3f}; by a quick fit of each, "
@@ -127,7 +127,7 @@ def axes_lines(study: ForceRecordStudy, found: ForceRecordStudy.Fit) -> list[str
         )
     elif not proposal.is_clear:
         lines += noted("Others suit nearly as well: the record does not tell the axes.")
-    own = [place.proposal.proposals[0].axes for place in found.registrations]
+    own = [place.proposal.proposals[0].axes for place in result.registrations]
     # No record tells the sign of z.
     ((usual, count),) = Counter(one[:2] for one in own).most_common(1)
     for record, one in zip(records, own, strict=True):

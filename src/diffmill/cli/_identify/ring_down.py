@@ -15,15 +15,15 @@ from .modes import (
 from .report import Report
 
 
-def report(study: ModeStudy, found: ModeStudy.Fit) -> Report:
+def report(study: ModeStudy, result: ModeStudy.Fit) -> Report:
     """Report of the modes of ring-downs.
 
     Args:
         study: The ring-downs.
-        found: Their fit.
+        result: Their fit.
     """
     # All of them are of this kind.
-    pairs: Any = zip(study.measured, found.modes, strict=True)
+    pairs: Any = zip(study.measured, result.modes, strict=True)
     parts = [
         MeasuredModes(
             mode_lines(one, fit),
@@ -34,7 +34,7 @@ def report(study: ModeStudy, found: ModeStudy.Fit) -> Report:
         )
         for one, fit in pairs
     ]
-    return modes_report(study, found, parts)
+    return modes_report(study, result, parts)
 
 
 def reading(study: ModeStudy) -> list[str]:

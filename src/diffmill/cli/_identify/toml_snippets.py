@@ -151,13 +151,13 @@ def force_uncertainty_toml(relative: float) -> list[str]:
     return uncertainty_toml("force", known, _FORCE_REMARK)
 
 
-def cutter_toml(found: ForceRecordStudy.Fit) -> list[str]:
+def cutter_toml(result: ForceRecordStudy.Fit) -> list[str]:
     """Lines of `[cutter]` with the run-out and diameter that were fitted.
 
     Args:
-        found: Result of the study; no lines if it fitted the coefficients alone.
+        result: Result of the study; no lines if it fitted the coefficients alone.
     """
-    fit, lines = found.fit, []
+    fit, lines = result.fit, []
     if "runout_x" in fit.refined:
         lines += _runout_toml(fit.refined, fit.refined_errors)
     growth = fit.refined.get("radius", np.nan)
@@ -198,27 +198,27 @@ def _runout_toml(
 
 
 def fitted_force_toml(
-    found: ForceRecordStudy.Fit | MeanForceStudy.Fit,
+    result: ForceRecordStudy.Fit | MeanForceStudy.Fit,
     doubts: Sequence[str],
     cutter: Sequence[str] = (),
 ) -> list[str]:
     """Tables after a fit of forces, as comments if they are doubtful.
 
     Args:
-        found: Result of the study.
+        result: Result of the study.
         doubts: Why it is doubtful, beside axes and diagnoses; the first is told.
         cutter: Lines of `[cutter]` that stand before.
     """
-    fit = found.fit
+    fit = result.fit
     lines = [
         *cutter,
         *force_toml(fit.coefficients, fit.standard_errors, fit.identifiable),
-        *force_uncertainty_toml(found.relative_uncertainty),
+        *force_uncertainty_toml(result.relative_uncertainty),
     ]
     reasons = [
         *doubts,
-        *([] if found.has_likely_axes else ["Other axes make more sense"]),
-        *(diagnosis_title(one) for one in found.diagnoses if one.is_grave),
+        *([] if result.has_likely_axes else ["Other axes make more sense"]),
+        *(diagnosis_title(one) for one in result.diagnoses if one.is_grave),
     ]
     return doubted(lines, f"{reasons[0]}; see summary.txt.") if reasons else lines
 

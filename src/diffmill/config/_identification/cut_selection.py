@@ -152,7 +152,7 @@ def engaged(
     notes: list[str],
 ) -> tuple[float, float]:
     """Start and end [s] of the part of a straight cut with full engagement."""
-    start, stop = span
+    start, stop = span.start, span.stop
     speed = getattr(process, "spindle_speed", None)
     is_chosen = table.start is not None or table.stop is not None
     if isinstance(process, Job) or speed is None or is_chosen:

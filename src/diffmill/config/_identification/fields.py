@@ -8,7 +8,7 @@ from .._schema.fields import Time
 
 
 def _axes(value: object) -> object:
-    """Return three signed axes that are all different."""
+    """Three signed axes that are all different."""
     if isinstance(value, list) and len(value) == 3:
         names = [str(name).lstrip("+") for name in value]
         if sorted(name.lstrip("-") for name in names) == ["x", "y", "z"]:
@@ -20,7 +20,7 @@ def _axes(value: object) -> object:
 
 
 def _axes_or_proposed(value: object) -> object:
-    """Return three signed axes, or the word for the likeliest ones."""
+    """Three signed axes, or the word for the likeliest ones."""
     if value == "proposed":
         return value
     try:
@@ -30,7 +30,7 @@ def _axes_or_proposed(value: object) -> object:
 
 
 def _channels(value: object) -> object:
-    """Return names or numbers of columns by quantity; "none" becomes None.
+    """Names or numbers of columns by quantity; "none" becomes None.
 
     A list is the sum of its columns.
     """
@@ -58,7 +58,7 @@ def _channels(value: object) -> object:
 
 
 def _span(value: object) -> object:
-    """Return the two ends of a section, or the word for no section."""
+    """Two ends of a section, or the word for no section."""
     if value == "none" or (isinstance(value, list) and len(value) == 2):
         return value
     raise ValueError(
@@ -68,7 +68,7 @@ def _span(value: object) -> object:
 
 
 def _cut_number(value: object) -> object:
-    """Return the number of a cut from 1, or the word for all."""
+    """Number of a cut from 1, or the word for all."""
     is_number = isinstance(value, int) and not isinstance(value, bool) and value > 0
     if value == "all" or is_number:
         return value

@@ -214,22 +214,6 @@ def _check_sizes(
     """Note numbers that only another unit explains."""
     turning = np.array([kind != "prismatic" for kind in robot.joint_kinds])
     angle = float(np.nanmax(np.abs(values["joint"][:, turning]), initial=0.0))
-    moved = _usual_move(values, table)
-    most = _LARGEST_MOVE if "displacement" in table.units else _USUAL_MOVE
-    for what, size, limit, unit, wrong in (
-        ("joint", angle, _LARGEST_ANGLE, "rad", "deg"),
-        ("displacement", moved, most, "m", "mm"),
-    ):
-        if size > limit:
-            faults.append(
-                f"the columns of `{what}` hold {size:.4g} {unit}, which no load test "
-                f"has; give the unit in the header, or by `units`, such as "
-                f'{{ {what} = "{wrong}" }}.'
-            )
-
-
-def _usual_move(values: dict[str, np.ndarray], table: LoadTestsTable) -> float:
-    """Displacement of the tool in the median pose [m]."""
     moved = values["displacement"]
     if table.has_offset:
         # The zero of a tracker lies anywhere.
@@ -238,7 +222,18 @@ def _usual_move(values: dict[str, np.ndarray], table: LoadTestsTable) -> float:
     moved = moved[np.isfinite(moved).any(axis=1)]
     # The whole vector: along the load it moves much farther than across.
     lengths = np.sqrt(np.nansum(moved**2, axis=1))
-    return float(np.median(lengths)) if lengths.size else 0.0
+    usual_move = float(np.median(lengths)) if lengths.size else 0.0
+    most = _LARGEST_MOVE if "displacement" in table.units else _USUAL_MOVE
+    for what, size, limit, unit, wrong in (
+        ("joint", angle, _LARGEST_ANGLE, "rad", "deg"),
+        ("displacement", usual_move, most, "m", "mm"),
+    ):
+        if size > limit:
+            faults.append(
+                f"the columns of `{what}` hold {size:.4g} {unit}, which no load test "
+                f"has; give the unit in the header, or by `units`, such as "
+                f'{{ {what} = "{wrong}" }}.'
+            )
 
 
 def _exchanged(vectors: np.ndarray, axes: list[str] | None) -> np.ndarray:

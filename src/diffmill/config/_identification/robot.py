@@ -60,7 +60,7 @@ class StudiedRobotTable(TomlTable):
 def read_tool_robot(
     table: StudiedRobotTable, context: Context, notes: list[str], *, needs_mass: bool
 ) -> Robot | None:
-    """Return the robot of a measurement, or None with problems noted.
+    """Robot of a measurement, or None with problems noted.
 
     Args:
         table: `[robot]`.

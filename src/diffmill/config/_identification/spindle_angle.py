@@ -23,15 +23,15 @@ def spindle_angle(
     problems: list[str],
     notes: list[str],
 ) -> Float[np.ndarray, " sample"] | None:
-    """Return the spindle's angle at each sample, or None.
+    """Angle of the spindle at each sample, or None.
 
     Args:
         record: The record as read.
-        process: What was cut.
+        process: The job or the straight cut.
         table: Its checked entry.
         place: What a line calls the entry.
-        problems: Receives what is wrong, if the file asks for the angle.
-        notes: Receives what was used, or why not.
+        problems: Receives faults, if the file asks for the angle.
+        notes: Receives the column that was used, or why none was.
 
     Returns:
         Angle [rad], increasing, shape (sample,): immersion angle of tooth 0 if the
@@ -88,7 +88,7 @@ def _unwrapped(
     angle: Float[np.ndarray, " sample"],
     speed: float,
 ) -> Float[np.ndarray, " sample"]:
-    """Return an angle without jumps, increasing, empty cells bridged.
+    """Angle without jumps, increasing, its empty cells bridged [rad].
 
     Raises:
         ValueError: The angle is missing for so long that turns may be lost.

@@ -7,8 +7,8 @@ law are fitted to the record under each of them, which is cheap: the sums over s
 are shared. For each of the six permutations, physics decides which signs make sense.
 """
 
+import dataclasses
 import itertools
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -21,10 +21,10 @@ from .axis_proposal import (
     proposal_of,
 )
 
-# What a violation of physics adds to a relative residual between 0 and 1. A negative
-# tangential or radial force weighs most. The axial force of straight flutes is taken to
-# push toward the shank, that of a helix along its hand. Both weigh little: they decide
-# where nothing else can, and say nothing against axes that someone has looked at.
+# Penalties of violations of physics, beside a relative residual between 0 and 1. A
+# negative tangential or radial force weighs most. The axial force of straight flutes is
+# taken to push toward the shank, that of a helix along its hand. Both weigh little:
+# they decide where nothing else can, and say nothing against axes that someone chose.
 _PENALTIES = {
     "the tangential force is negative": 0.5,
     "the radial force is negative": 0.5,
@@ -53,7 +53,7 @@ def propose_axes(
     tooth_frequency: float | None = None,
     helix_angle: float = 0.0,
 ) -> AxesProposal:
-    """Return how the recorded axes may lie in the simulation's, with the evidence.
+    """Assignments of the recorded axes to the simulation's, with the evidence.
 
     For each signed permutation the six coefficients follow from linear least squares,
     at the time shift with the least score. The score is the relative residual plus a
@@ -76,7 +76,7 @@ def propose_axes(
         helix_angle: Of the cutter, positive for a right-hand helix [rad].
 
     Returns:
-        The six proposals and what speaks for the first.
+        The six proposals and the evidence for the first.
 
     Raises:
         ValueError: If shapes disagree, the force is zero, or the record is not longer
@@ -103,45 +103,36 @@ def propose_axes(
     products = _products(force, unit, lags)
     inside = slice(lags, force.shape[0] - lags)
     grams = np.einsum("tac,tad->acd", unit[inside], unit[inside])
-    found, tests = [], _Tests(int(np.sign(helix_angle)))
+    hand = int(np.sign(helix_angle))
+    power = np.sum(force[inside] ** 2)
+    ranked = []
     for matrix in signed_permutations():
-        seen = _seen(matrix, is_measured)
+        seen = np.abs(matrix) @ is_measured > 0
         inverse = np.linalg.pinv(grams[seen].sum(axis=0), rcond=1e-9, hermitian=True)
         assigned = np.einsum("ai,iacl->lc", matrix, products)
         solutions = assigned @ inverse
-        power = np.sum(force[inside] ** 2)
-        rest = 1.0 - np.einsum("lc,lc->l", assigned, solutions) / power
-        score = np.sqrt(np.clip(rest, 0.0, None)) + tests.penalty(solutions)
+        residual = 1.0 - np.einsum("lc,lc->l", assigned, solutions) / power
+        score = np.sqrt(np.clip(residual, 0.0, None))
+        score += _penalties(hand) @ _violated(solutions, hand)
         best = int(np.argmin(score))
-        found.append(_Assignment(float(score[best]), matrix, seen, best - lags))
-    found.sort(key=lambda one: axes_rank(one.score, one.matrix))
+        ranked.append((axes_rank(float(score[best]), matrix), best - lags, matrix))
+    ranked.sort(key=lambda one: one[0])
     turn = None if tooth_frequency is None else 2 * np.pi * tooth_frequency / rate
     candidates = []
-    for one in found:
-        basis = unit[inside.start - one.lag : inside.stop - one.lag] * one.seen[:, None]
-        candidates.append(_candidate(one, force[inside], basis, turn, tests))
-    return proposal_of(
-        tuple(
-            one._replace(
-                coefficients=one.coefficients / np.where(scale > 0, scale, np.inf),
-                time_shift=one.time_shift / rate,
-            )
-            for one in candidates
-        )
-    )
-
-
-class _Assignment(NamedTuple):
-    """A signed permutation at the time shift, in samples, with the least score."""
-
-    score: float
-    matrix: Float[np.ndarray, "3 3"]
-    seen: Bool[np.ndarray, " axis"]
-    lag: int
+    for _, lag, matrix in ranked:
+        # Channels that were not measured stay NaN, and their columns zero.
+        seen = np.abs(matrix) @ is_measured > 0
+        recorded = np.where(seen, force[inside] @ matrix.T, np.nan)
+        basis = unit[inside.start - lag : inside.stop - lag] * seen[:, None]
+        one = _candidate(matrix, recorded, basis, turn, hand)
+        coefficients = one.coefficients / np.where(scale > 0, scale, np.inf)
+        one = dataclasses.replace(one, coefficients=coefficients, time_shift=lag / rate)
+        candidates.append(one)
+    return proposal_of(tuple(candidates))
 
 
 def signed_permutations() -> list[Float[np.ndarray, "3 3"]]:
-    """Return the 48 matrices that exchange and reverse axes."""
+    """The 48 matrices that exchange and reverse axes."""
     return [
         np.array(signs)[:, None] * np.eye(3)[list(order)]
         for order in itertools.permutations(range(3))
@@ -149,19 +140,12 @@ def signed_permutations() -> list[Float[np.ndarray, "3 3"]]:
     ]
 
 
-def _seen(
-    matrix: Float[np.ndarray, "3 3"], is_measured: Bool[np.ndarray, " channel"]
-) -> Bool[np.ndarray, " axis"]:
-    """Return which forces of the simulation an assignment has a channel for."""
-    return np.abs(matrix) @ is_measured > 0
-
-
 def _products(
     force: Float[np.ndarray, "sample 3"],
     unit: Float[np.ndarray, "sample 3 6"],
     lags: int,
 ) -> Float[np.ndarray, "channel axis coefficient lag"]:
-    """Return sums of channel times shifted column, for lags from -lags to lags."""
+    """Sums of channel times shifted column, for lags from -lags to lags."""
     count = force.shape[0]
     inner = np.zeros_like(force)
     inner[lags : count - lags] = force[lags : count - lags]
@@ -179,36 +163,28 @@ def _products(
     return out
 
 
-class _Tests(NamedTuple):
-    """What makes no physical sense, for a helix to the right, 1, or left, -1; or none.
+def _penalties(hand: int) -> Float[np.ndarray, " violation"]:
+    """Penalties of the violations, in the order of `_violated`."""
+    return np.array([*_PENALTIES.values(), _AXIAL[hand][1]])
+
+
+def _violated(
+    solutions: Float[np.ndarray, "lag coefficient"], hand: int
+) -> Bool[np.ndarray, "violation lag"]:
+    """True where a solution violates physics.
 
     With columns of unit size, cutting and edge part of a solution add to the force.
+
+    Args:
+        solutions: Coefficients in these units, shape (lag, 6).
+        hand: 1 for a right-hand helix, -1 for a left-hand one, 0 for straight flutes.
     """
-
-    hand: int
-
-    def penalty(
-        self, solutions: Float[np.ndarray, "lag coefficient"]
-    ) -> Float[np.ndarray, " lag"]:
-        """Return what violations add to the score."""
-        weights = np.array([*_PENALTIES.values(), _AXIAL[self.hand][1]])
-        return weights @ np.array(self._violated(solutions), float)
-
-    def words(self, solution: Float[np.ndarray, " coefficient"]) -> tuple[str, ...]:
-        """Return the violations in words."""
-        found = self._violated(solution[None])
-        texts = (*_PENALTIES, _AXIAL[self.hand][0])
-        return tuple(text for text, is_so in zip(texts, found, strict=True) if is_so[0])
-
-    def _violated(
-        self, solutions: Float[np.ndarray, "lag coefficient"]
-    ) -> list[np.ndarray]:
-        tangential, radial, axial = (solutions[:, :3] + solutions[:, 3:]).T
-        # Edge forces may exceed the bound at thin chips; noise splits the two badly.
-        is_odd = _is_odd(tangential, radial) & _is_odd(solutions[:, 0], solutions[:, 1])
-        both = (tangential > 0) & (radial > 0)
-        wrong = axial < 0 if self.hand == 0 else axial * self.hand > 0
-        return [tangential <= 0, radial <= 0, both & is_odd, wrong]
+    tangential, radial, axial = (solutions[:, :3] + solutions[:, 3:]).T
+    # Edge forces may exceed the bound at thin chips; noise splits the two badly.
+    is_odd = _is_odd(tangential, radial) & _is_odd(solutions[:, 0], solutions[:, 1])
+    both = (tangential > 0) & (radial > 0)
+    wrong = axial < 0 if hand == 0 else axial * hand > 0
+    return np.array([tangential <= 0, radial <= 0, both & is_odd, wrong])
 
 
 def _is_odd(
@@ -219,19 +195,25 @@ def _is_odd(
 
 
 def _candidate(
-    one: _Assignment,
-    force: Float[np.ndarray, "sample 3"],
+    matrix: Float[np.ndarray, "3 3"],
+    recorded: Float[np.ndarray, "sample 3"],
     basis: Float[np.ndarray, "sample 3 6"],
     turn: float | None,
-    tests: _Tests,
+    hand: int,
 ) -> AxesCandidate:
-    """Return one assignment with its evidence, fitted anew at its time shift.
+    """Assignment with its evidence, fitted anew at its time shift.
 
-    Its coefficients are those of the basis and its shift is in samples; `turn` is the
-    angle of the tooth passing per sample [rad].
+    Its coefficients are those of the basis and its time shift is 0.
+
+    Args:
+        matrix: The assignment.
+        recorded: Record in its axes [N], shape (sample, 3); NaN where not measured.
+        basis: Columns at the time shift; 0 where not measured.
+        turn: Angle of the tooth passing per sample [rad], or None.
+        hand: As of `_violated`.
     """
-    matrix, seen = one.matrix, one.seen
-    recorded = force @ matrix.T
+    seen = np.isfinite(recorded[0])
+    recorded = np.where(seen, recorded, 0.0)
     flat = basis.reshape(-1, basis.shape[2])
     right = recorded.reshape(-1) @ flat
     solution = np.linalg.pinv(flat.T @ flat, rcond=1e-9, hermitian=True) @ right
@@ -243,16 +225,18 @@ def _candidate(
         phase = np.angle((turns @ recorded) * np.conj(turns @ fitted))
         phase = np.where(seen, phase, np.nan)
     total = solution[:3] + solution[3:]
+    violated = _violated(solution[None], hand)[:, 0]
+    texts = (*_PENALTIES, _AXIAL[hand][0])
     return AxesCandidate(
         matrix=matrix,
         label=axes_label(matrix),
         is_mirrored=bool(np.linalg.det(matrix) < 0),
-        score=residual + float(tests.penalty(solution[None])[0]),
+        score=residual + float(_penalties(hand) @ violated),
         residual=residual,
         coefficients=solution,
         radial_ratio=float(total[1] / total[0]) if total[0] else float("nan"),
-        violations=tests.words(solution),
-        time_shift=float(one.lag),
+        violations=tuple(itertools.compress(texts, violated)),
+        time_shift=0.0,
         phase_error=phase,
         mean_recorded=np.where(seen, recorded.mean(axis=0), np.nan),
         mean_fitted=fitted.mean(axis=0),

@@ -1,7 +1,7 @@
 """Evidence for an assignment of a dynamometer's axes, in numbers and in words."""
 
+import dataclasses
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -17,7 +17,7 @@ _AXES = "xyz"
 
 
 def axes_names(matrix: Float[np.ndarray, "3 3"]) -> tuple[str, str, str]:
-    """Return a signed permutation as names, such as ("-y", "x", "z").
+    """Names of the axes of a signed permutation, such as ("-y", "x", "z").
 
     Args:
         matrix: Turns recorded into simulated forces, shape (3, 3).
@@ -45,19 +45,20 @@ def in_work_axes(
     return force[:, ["xyz".index(name[-1]) for name in axes]] * signs[None]
 
 
-class AxesCandidate(NamedTuple):
-    """One assignment of recorded to simulated axes, and what speaks for it.
+@dataclasses.dataclass(frozen=True)
+class AxesCandidate:
+    """One assignment of recorded to simulated axes, with its evidence.
 
     Attributes:
         matrix: Turns recorded into simulated forces: F = matrix @ F_recorded, one
             1 or -1 in each row and column, shape (3, 3).
         label: The same in words, such as `x = -Fy, y = +Fx, z = +Fz`.
         is_mirrored: Whether the recorded axes are left-handed in the simulation's.
-        score: Relative residual plus what violations of physics add; less is better.
+        score: Relative residual plus penalties of violations; less is better.
         residual: Root of the share of the force's square that the fit leaves, 0 to 1.
         coefficients: K_tc, K_rc, K_ac [Pa], K_te, K_re, K_ae [N/m] of this fit.
         radial_ratio: Radial over tangential force, edge forces included.
-        violations: What makes no physical sense, in words.
+        violations: Signs and ratios that physics forbids, in words.
         time_shift: By how much the record lags behind the simulation [s].
         phase_error: Phase of the record less that of the fit at the tooth-passing
             frequency [rad], shape (3,); NaN without that frequency, or where not
@@ -86,7 +87,8 @@ class AxesCandidate(NamedTuple):
         return axes_names(self.matrix)
 
 
-class AxesProposal(NamedTuple):
+@dataclasses.dataclass(frozen=True)
+class AxesProposal:
     """Assignments of the axes, the likeliest first; nothing has been applied.
 
     Attributes:
@@ -95,7 +97,7 @@ class AxesProposal(NamedTuple):
         is_clear: Whether the best is better than every other by more than 0.05 in
             score, those apart that differ only in the sign of z or of a channel that
             was not measured.
-        evidence: What speaks for the best, one sentence each.
+        evidence: Evidence for the best, one sentence each.
     """
 
     proposals: tuple[AxesCandidate, ...]
@@ -104,20 +106,22 @@ class AxesProposal(NamedTuple):
     evidence: tuple[str, ...]
 
     def for_right_handed_axes(self) -> "AxesProposal":
-        """Return the proposal where the record is known to be the force on the tool.
+        """Proposal where the record is known to be the force on the tool.
 
         Axes that are left-handed in those of the simulation are then unlikely.
         """
         return proposal_of(
             tuple(
-                one._replace(score=one.score + _LEFT_HANDED * one.is_mirrored)
+                dataclasses.replace(
+                    one, score=one.score + _LEFT_HANDED * one.is_mirrored
+                )
                 for one in self.candidates
             )
         )
 
 
 def combine_axes_proposals(proposals: Sequence[AxesProposal]) -> AxesProposal:
-    """Return what several records of one dynamometer say together.
+    """Proposal of the axes by several records of one dynamometer.
 
     Scores and residuals are averaged; the other evidence of each assignment is that
     of the first record.
@@ -136,9 +140,10 @@ def combine_axes_proposals(proposals: Sequence[AxesProposal]) -> AxesProposal:
     by_label = [{c.label: c for c in one.candidates} for one in proposals]
     merged = []
     for label, first in by_label[0].items():
-        alike = [found[label] for found in by_label]
+        alike = [candidates[label] for candidates in by_label]
         merged.append(
-            first._replace(
+            dataclasses.replace(
+                first,
                 score=float(np.mean([c.score for c in alike])),
                 residual=float(np.mean([c.residual for c in alike])),
             )
@@ -146,25 +151,18 @@ def combine_axes_proposals(proposals: Sequence[AxesProposal]) -> AxesProposal:
     return proposal_of(tuple(merged))
 
 
-class AxesRank(NamedTuple):
-    """Place of an assignment among others, the least one first."""
-
-    score: float
-    is_z_reversed: bool
-
-
-def axes_rank(score: float, matrix: Float[np.ndarray, "3 3"]) -> AxesRank:
-    """Return what the best has least of; z as recorded comes before z reversed.
+def axes_rank(score: float, matrix: Float[np.ndarray, "3 3"]) -> tuple[float, bool]:
+    """Sorting key of an assignment: its score; z as recorded before z reversed.
 
     Args:
         score: Of an assignment.
         matrix: Turns recorded into simulated forces, shape (3, 3).
     """
-    return AxesRank(round(score, _DIGITS), bool(matrix[2].sum() < 0))
+    return round(score, _DIGITS), bool(matrix[2].sum() < 0)
 
 
 def axes_label(matrix: Float[np.ndarray, "3 3"]) -> str:
-    """Return an assignment in words, such as `x = -Fy, y = +Fx, z = +Fz`.
+    """Assignment in words, such as `x = -Fy, y = +Fx, z = +Fz`.
 
     Args:
         matrix: Turns recorded into simulated forces, shape (3, 3).
@@ -177,7 +175,7 @@ def axes_label(matrix: Float[np.ndarray, "3 3"]) -> str:
 
 
 def proposal_of(candidates: tuple[AxesCandidate, ...]) -> AxesProposal:
-    """Return the candidates in order, the six proposals, and the evidence.
+    """Candidates in order, the six proposals, and the evidence.
 
     Args:
         candidates: All 48, in any order.
@@ -189,12 +187,12 @@ def proposal_of(candidates: tuple[AxesCandidate, ...]) -> AxesProposal:
         order = tuple(np.argmax(np.abs(candidate.matrix), axis=1).tolist())
         of_order.setdefault(order, candidate)
     # No record shows the sign of what it has not measured.
-    told = np.isfinite(best.mean_recorded) & (np.arange(3) < 2)
+    is_shown = np.isfinite(best.mean_recorded) & (np.arange(3) < 2)
     rivals = [
         other
         for other in ranked[1:]
         if not np.array_equal(np.abs(other.matrix), np.abs(best.matrix))
-        or not np.array_equal(other.matrix[told], best.matrix[told])
+        or not np.array_equal(other.matrix[is_shown], best.matrix[is_shown])
     ]
     margin = rivals[0].score - best.score
     return AxesProposal(
@@ -206,7 +204,7 @@ def proposal_of(candidates: tuple[AxesCandidate, ...]) -> AxesProposal:
 
 
 def _sign_of_z(ranked: Sequence[AxesCandidate]) -> tuple[str, ...]:
-    """Say what the sign of z of the likeliest axes rests on."""
+    """Reason for the sign of z of the likeliest axes."""
     best = ranked[0]
     if not np.isfinite(best.mean_recorded[2]):
         return ("There is no channel for z.",)

@@ -1,10 +1,10 @@
 """Registration of records on their cuts: speed, window and time, to begin a fit."""
 
+import dataclasses
 import math
-from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from ..._job import Job
 from ...cutting import LinearEdgeLaw
@@ -36,10 +36,11 @@ _SPEED_OFF = 0.03
 # A force this many times the largest of all but a few percent is a gross error.
 _SPIKE, _ALL_BUT = 3.0, 0.98
 # Share of the largest force below which the tool counts as out of the cut.
-_CUTS = 0.02
+_CUTTING_SHARE = 0.02
 
 
-class RecordRegistration(NamedTuple):
+@dataclasses.dataclass(frozen=True)
+class RecordRegistration:
     """A record registered on its cut, its axes as recorded.
 
     Attributes:
@@ -49,11 +50,11 @@ class RecordRegistration(NamedTuple):
             shape (row,).
         force: As recorded [N], shape (row, 3); NaN out of the cut.
         offset: Clock of the cut minus clock of the record [s].
-        proposal: How the axes may lie.
+        proposal: Assignments of the axes.
         alignment: How well the sizes of the forces agree over a job, or None.
         spindle_speed: As used [rad/s].
-        notes: What was done or is doubtful, one sentence each.
-        diagnoses: What clock and teeth of a steady cut tell.
+        notes: Assumptions and doubts, one sentence each.
+        diagnoses: Faults of clock and teeth of a steady cut.
     """
 
     cut: Cut
@@ -118,20 +119,29 @@ class RecordRegistration(NamedTuple):
         keep = time <= time[0] + turns * turn
         teeth = SETTLED + (turns + 2) * flutes + 1
         teeth = _ROUND * math.ceil(teeth / _ROUND)
-        sizes = sizes._replace(spindle_speed=speed)
+        sizes = dataclasses.replace(sizes, spindle_speed=speed)
         cut = cut_of(sizes.cut(teeth=teeth, largest_feed=largest_feed))
-        found = EngagementColumns.of_cut(cut)
+        engagement = EngagementColumns.of_cut(cut)
         # A revolution of room, within which the fit looks for the shift.
         offset = turn + SETTLED * cut.tooth_period - float(time[0])
         if angle is not None:
             offset = _in_phase(offset, time, angle, speed)
         when, seen = time[keep] + offset, force[keep]
-        proposal = _judge(found, when, seen, turn / 2, cut)
+        proposal = _axes_proposal(engagement, when, seen, turn / 2, cut)
         diagnoses = (
             () if angle is not None else _diagnosed(time[keep], seen, speed, flutes)
         )
         return cls(
-            cut, found, when, seen, offset, proposal, None, speed, notes, diagnoses
+            cut,
+            engagement,
+            when,
+            seen,
+            offset,
+            proposal,
+            None,
+            speed,
+            notes,
+            diagnoses,
         )
 
     @classmethod
@@ -167,7 +177,7 @@ class RecordRegistration(NamedTuple):
             SimulationFailed: The cut could not be simulated.
         """
         cut = cut_of(job)
-        found = EngagementColumns.of_cut(cut)
+        engagement = EngagementColumns.of_cut(cut)
         law = job.law
         K = _USUAL
         if isinstance(law, LinearEdgeLaw):
@@ -178,13 +188,18 @@ class RecordRegistration(NamedTuple):
         if angle is not None:
             time = _spindle_clock(time, angle, speed)
         if time_shift is None:
-            alignment = align_in_time(found, K, time, force)
+            alignment = align_in_time(engagement, K, time, force)
             time_shift = alignment.shift
         if angle is not None and not keeps_shift:
             time_shift = _in_phase(time_shift, time, angle, speed)
         when = time + time_shift
-        is_cut = _is_cut(found, K, turn)
-        place = np.round((when - found.start) / found.spacing).astype(np.int64)
+        # Samples at which the tool cuts within a revolution.
+        size = np.linalg.norm(engagement.columns @ K + engagement.constant, axis=1)
+        width = 2 * math.ceil(turn / engagement.spacing) + 1
+        cuts = (size > _CUTTING_SHARE * size.max(initial=0.0)).astype(np.float64)
+        is_cut = np.convolve(cuts, np.ones(width), mode="same") > 0.5
+        place = (when - engagement.start) / engagement.spacing
+        place = np.round(place).astype(np.int64)
         inside = (place >= 0) & (place < len(is_cut))
         inside &= is_cut[np.clip(place, 0, len(is_cut) - 1)]
         if inside.sum() < 12:
@@ -196,8 +211,10 @@ class RecordRegistration(NamedTuple):
         first, last = np.flatnonzero(inside)[[0, -1]]
         when = when[first : last + 1]
         seen = np.where(inside[:, None], force, np.nan)[first : last + 1]
-        proposal = _judge(found, when, seen, turn / 2, cut)
-        return cls(cut, found, when, seen, time_shift, proposal, alignment, speed, ())
+        proposal = _axes_proposal(engagement, when, seen, turn / 2, cut)
+        return cls(
+            cut, engagement, when, seen, time_shift, proposal, alignment, speed, ()
+        )
 
 
 def _diagnosed(
@@ -206,7 +223,7 @@ def _diagnosed(
     spindle_speed: float,
     flute_count: int,
 ) -> tuple[Diagnosis, ...]:
-    """Return what the phase and the harmonics of a steady cut tell."""
+    """Faults of clock and teeth by the phase and the harmonics of a steady cut."""
     force = force[:, np.isfinite(force).any(axis=0)]
     known = np.isfinite(force).all(axis=1)
     if known.sum() <= 16:
@@ -223,14 +240,14 @@ def _spindle_clock(
     angle: Float[np.ndarray, " row"],
     speed: float,
 ) -> Float[np.ndarray, " row"]:
-    """Return a clock on which the spindle turns evenly."""
+    """Clock on which the spindle turns evenly [s], shape (row,)."""
     return time[0] + (angle - angle[0]) / speed
 
 
 def _in_phase(
     offset: float, time: np.ndarray, angle: np.ndarray, speed: float
 ) -> float:
-    """Return the nearest offset of the clock with which tooth 0 stands at the angle.
+    """Nearest offset of the clock with which tooth 0 stands at the angle [s].
 
     It stands at zero when the clock of the cut does.
     """
@@ -244,7 +261,7 @@ def _repeating_speed(
     time: Float[np.ndarray, " row"],
     force: Float[np.ndarray, "row 3"],
 ) -> float:
-    """Return the spindle speed at which forces repeat [rad/s]; the given for few."""
+    """Spindle speed at which forces repeat [rad/s]; that given for few samples."""
     force = force[:, np.isfinite(force).any(axis=0)]
     known = np.isfinite(force).all(axis=1)
     if known.sum() <= 16:
@@ -255,12 +272,12 @@ def _repeating_speed(
 
 
 def _is_off(given: float, repeated: float) -> bool:
-    """Tell whether the forces repeat at another speed than the spindle can have."""
+    """True if the forces repeat at a speed that the spindle cannot have."""
     return abs(repeated / given - 1) > _SPEED_OFF
 
 
 def _speed_notes(given: float, repeated: float) -> tuple[str, ...]:
-    """Say that the forces repeat at another speed than the given one."""
+    """Sentence if the forces repeat at another speed than the given one."""
     change = repeated / given - 1
     rpm = repeated * 30 / math.pi
     if _is_off(given, repeated):
@@ -273,22 +290,14 @@ def _speed_notes(given: float, repeated: float) -> tuple[str, ...]:
     return ()
 
 
-def _is_cut(found: EngagementColumns, K: np.ndarray, turn: float) -> np.ndarray:
-    """Return at which samples the tool cuts within a revolution."""
-    size = np.linalg.norm(found.columns @ K + found.constant, axis=1)
-    width = 2 * math.ceil(turn / found.spacing) + 1
-    cuts = (size > _CUTS * size.max(initial=0.0)).astype(np.float64)
-    return np.convolve(cuts, np.ones(width), mode="same") > 0.5
-
-
-def _judge(
-    found: EngagementColumns,
+def _axes_proposal(
+    engagement: EngagementColumns,
     time: np.ndarray,
     force: np.ndarray,
     max_shift: float,
     cut: Cut,
 ) -> AxesProposal:
-    """Return how the axes may lie, from the forces on an even grid.
+    """Assignments of the axes, from the forces on an even grid.
 
     What lies in a gap too long to be bridged becomes zero, measured and simulated.
     """
@@ -297,51 +306,40 @@ def _judge(
     size = np.abs(np.nan_to_num(force)).max(axis=1)
     usual = max(float(np.quantile(size[known], _ALL_BUT)), 1e-300)
     known = np.flatnonzero(known & (size <= _SPIKE * usual))
-    even = _on_grid(time[known], force[known], cut.tooth_period)
-    seen, is_near = even.force, even.is_near
+    grid, seen, is_near = _on_grid(time[known], force[known], cut.tooth_period)
     count = int(is_near.sum())
     if count < _LEAST:
         raise ValueError(
             f"The record must hold {_LEAST} samples with the cut that lie near each "
             f"other, but its gaps leave {count} of {known.size}."
         )
-    columns = at_times(found.columns, found.start, found.spacing, even.time)
+    columns = at_times(engagement.columns, engagement.start, engagement.spacing, grid)
     seen[:, ~is_measured] = np.nan
-    spacing = float(even.time[1] - even.time[0])
+    spacing = float(grid[1] - grid[0])
     return propose_axes(
         np.where(np.logical_or.outer(is_near, ~is_measured), seen, 0.0),
         np.where(is_near[:, None, None], columns, 0.0),
         1 / spacing,
         # Four times the shift, in whole samples, must be shorter than the record.
-        max_shift=min(max_shift, ((len(even.time) - 1) // 4) * spacing * (1 - 1e-9)),
+        max_shift=min(max_shift, ((grid.size - 1) // 4) * spacing * (1 - 1e-9)),
         tooth_frequency=1 / cut.tooth_period,
         helix_angle=float(cut.cutter.helix_angle),
     )
-
-
-class _EvenSamples(NamedTuple):
-    """Record at even instants.
-
-    Attributes:
-        time: Instants [s], shape (sample,).
-        force: [N], shape (sample, 3).
-        is_near: Whether samples of the record lie near enough, shape (sample,).
-    """
-
-    time: Float[np.ndarray, " sample"]
-    force: Float[np.ndarray, "sample 3"]
-    is_near: Bool[np.ndarray, " sample"]
 
 
 def _on_grid(
     time: Float[np.ndarray, " row"],
     force: Float[np.ndarray, "row 3"],
     tooth_period: float,
-) -> _EvenSamples:
-    """Return a record at even instants, where it is densest.
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Record at even instants, where it is densest.
 
     Samples may be lost or come at uneven instants: straight lines lie between those
     that are no further apart than two and a half usual steps.
+
+    Returns:
+        Instants [s], shape (sample,); forces [N], shape (sample, 3); and true where
+        samples of the record lie near enough, shape (sample,).
     """
     step = float(np.median(np.diff(time)))
     # Not more samples than the angles have, or the shifts take long.
@@ -352,8 +350,8 @@ def _on_grid(
     apart = time[after] - time[after - 1]
     is_near = apart <= max(_BRIDGED * step, tooth_period / _PER_TOOTH)
     if count > _JUDGED:
-        held = np.cumsum(np.concatenate([[0], is_near]))
-        first = int(np.argmax(held[_JUDGED:] - held[:-_JUDGED]))
+        near_count = np.cumsum(np.concatenate([[0], is_near]))
+        first = int(np.argmax(near_count[_JUDGED:] - near_count[:-_JUDGED]))
         part = slice(first, first + _JUDGED)
         grid, after, apart, is_near = (
             grid[part],
@@ -363,4 +361,4 @@ def _on_grid(
         )
     share = np.clip((grid - time[after - 1]) / apart, 0.0, 1.0)[:, None]
     seen = (1 - share) * force[after - 1] + share * force[after]
-    return _EvenSamples(grid, np.nan_to_num(seen), is_near)
+    return grid, np.nan_to_num(seen), is_near

@@ -1,6 +1,6 @@
 """Alignment of a record with its cut in time, by the size of the force alone."""
 
-from typing import NamedTuple
+import dataclasses
 
 import numpy as np
 from jaxtyping import Float
@@ -10,10 +10,11 @@ from .._cut.cut_model import EngagementColumns, at_times
 # Longest series that are compared, and how near two maxima count as one.
 _LONGEST = 1 << 20
 # Share of the largest simulated force above which the tool counts as cutting.
-_CUTS = 0.02
+_CUTTING_SHARE = 0.02
 
 
-class TimeAlignment(NamedTuple):
+@dataclasses.dataclass(frozen=True)
+class TimeAlignment:
     """Alignment of a record with its cut in time.
 
     Attributes:
@@ -28,19 +29,19 @@ class TimeAlignment(NamedTuple):
 
 
 def align_in_time(
-    found: EngagementColumns,
+    engagement: EngagementColumns,
     coefficients: Float[np.ndarray, " 6"],
     time: Float[np.ndarray, " row"],
     force: Float[np.ndarray, "row 3"],
 ) -> TimeAlignment:
-    """Return the best alignment of a record with its cut.
+    """Best alignment of a record with its cut.
 
     The sizes |F| of the measured and of the simulated force are compared at every
     shift, so that axes and signs do not matter. The coefficients need to be right in
     proportion only.
 
     Args:
-        found: Force of the cut per coefficient.
+        engagement: Force of the cut per coefficient.
         coefficients: Rough values in the order of `NAMES` [Pa, N/m], shape (6,).
         time: Instants of the record [s], ascending, shape (row,).
         force: Record without its offset [N], shape (row, 3); NaN where not known.
@@ -51,13 +52,15 @@ def align_in_time(
     Raises:
         ValueError: The simulated tool never cuts, or the record rests at zero.
     """
-    modelled = np.linalg.norm(found.columns @ coefficients + found.constant, axis=1)
-    is_cut = modelled > _CUTS * modelled.max(initial=0.0)
+    modelled = np.linalg.norm(
+        engagement.columns @ coefficients + engagement.constant, axis=1
+    )
+    is_cut = modelled > _CUTTING_SHARE * modelled.max(initial=0.0)
     if not is_cut.any():
         raise ValueError(
             "The simulated tool never cuts: there is nothing to align with."
         )
-    span = found.start + found.spacing * (len(modelled) - 1)
+    span = engagement.start + engagement.spacing * (len(modelled) - 1)
     step = float(np.median(np.diff(time)))
     step = max(step, (float(time[-1] - time[0]) + span) / _LONGEST)
     size = np.linalg.norm(np.nan_to_num(force), axis=1)
@@ -69,7 +72,9 @@ def align_in_time(
     place = np.searchsorted(time, grid)
     gap = time[np.minimum(place, len(time) - 1)] - time[np.maximum(place - 1, 0)]
     a = np.where(gap > 20 * step, 0.0, a)
-    b = at_times(modelled, found.start, found.spacing, np.arange(0.0, span, step))
+    b = at_times(
+        modelled, engagement.start, engagement.spacing, np.arange(0.0, span, step)
+    )
     width = 1 << int(np.ceil(np.log2(len(a) + len(b))))
     product = np.fft.rfft(a, width) * np.conj(np.fft.rfft(b, width))
     both = np.fft.irfft(product, width)
@@ -77,6 +82,6 @@ def align_in_time(
     best = float(both[lag]) / float(np.linalg.norm(a) * np.linalg.norm(b))
     lag = lag - width if lag >= len(a) else lag
     shift = -float(time[0]) - lag * step
-    instants = found.start + found.spacing * np.flatnonzero(is_cut) - shift
+    instants = engagement.start + engagement.spacing * np.flatnonzero(is_cut) - shift
     inside = (instants >= time[0]) & (instants <= time[-1])
     return TimeAlignment(shift, best, float(inside.mean()))

@@ -177,12 +177,12 @@ def fit_coupled(
         )
     solver = record_solver(problem.is_log, max_steps)
     state = LeastSquaresState(start, begun, solver.damping)
-    found = least_squares(problem, start, solver, state=state)
-    if problem.share(found.value, found.x) < EXPLAINED:
+    solution = least_squares(problem, start, solver, state=state)
+    if problem.share(solution.value, solution.x) < EXPLAINED:
         # Far from the truth all slopes are small, and ringing has minima of its own.
-        found = _other_start(problem, solver, state, found)
-    kept = () if fit is not None else fixed_parameter_note(job, force is not None)
-    return _report(problem, found, max_relative_error, kept)
+        solution = _other_start(problem, solver, state, solution)
+    unfitted = () if fit is not None else fixed_parameter_note(job, force is not None)
+    return _report(problem, solution, max_relative_error, unfitted)
 
 
 class _Problem(AbstractProblem):
@@ -198,52 +198,52 @@ class _Problem(AbstractProblem):
 
     @property
     def is_log(self) -> np.ndarray:
-        """Which unknowns are logarithms of parameters: the first."""
+        """True for unknowns that are logarithms of parameters: the first."""
         return np.arange(len(self.start)) < len(self.names)
 
     def simulated(self, x: np.ndarray) -> Modelled:
-        """Return the simulation."""
+        """Simulation at some unknowns."""
         everything = self.job.parameter_names
         places = tuple(everything.index(name) for name in self.names)
         return modelled(self.job, places, x[: len(places)])
 
     def offset(self, x: np.ndarray) -> np.ndarray | None:
-        """Return the offset of the deviation among the unknowns."""
+        """Offset of the deviation among the unknowns [m], or None."""
         count = len(self.names)
         return x[count : count + 3] if self.has_offset else None
 
     def time_shift(self, x: np.ndarray) -> float | None:
-        """Return the time shift among the unknowns."""
+        """Time shift among the unknowns [s], or None."""
         return float(x[-1]) if self.has_time_shift else None
 
     def rows(self, model: Modelled, x: np.ndarray) -> list[Rows]:
-        """Return the equations at some unknowns, for their simulation."""
+        """Equations at some unknowns, for their simulation."""
         period = float(self.job.tooth_period)
         turn = period * self.job.cutter.flute_count
         offset, shift = self.offset(x), self.time_shift(x)
         return coupled_rows(self.record, model, period, turn, offset, shift)
 
     def evaluate(self, x: np.ndarray) -> list[Rows] | None:
-        """Return the equations at some unknowns, None where the run fails."""
+        """Equations at some unknowns, None where the run fails."""
         model = self.simulated(x)
         return None if model.result != RESULTS.successful else self.rows(model, x)
 
     def model(self, x: np.ndarray, value: list[Rows]) -> QuadraticModel:
-        """Return the model of the robust cost."""
+        """Quadratic model of the robust cost."""
         return record_model(value, x, self.start, self.is_log, self.loss)
 
     def fit(self, rows: list[Rows]) -> LinearFit:
-        """Return weights, spreads and residuals of some equations."""
+        """Weights, spreads and residuals of some equations."""
         return weigh(rows, np.zeros(len(self.start)), self.loss)
 
     def share(self, rows: list[Rows], x: np.ndarray) -> float:
-        """Return the smallest share of the squares that some unknowns explain."""
+        """Smallest share of the squares that some unknowns explain."""
         fit = self.fit(rows)
-        return min(explained_by(self.measured, fit, self.offset(x)).share.values())
+        return min(explained_by(self.measured, fit, self.offset(x)).values())
 
     @property
     def measured(self) -> dict[str, np.ndarray | None]:
-        """What was measured, by name."""
+        """Measurements by name."""
         return {"force": self.record.force, "deviation": self.record.deviation}
 
 
@@ -251,9 +251,9 @@ def _other_start(
     problem: _Problem,
     solver: LevenbergMarquardt,
     first: LeastSquaresState,
-    found: LeastSquaresState,
+    solution: LeastSquaresState,
 ) -> LeastSquaresState:
-    """Return a fit from an arm that is softer or stiffer as a whole, if it is better.
+    """Fit from an arm that is softer or stiffer as a whole, if it is better.
 
     Its evaluations are those of everything tried.
     """
@@ -272,15 +272,15 @@ def _other_start(
         ):
             best = LeastSquaresState(x, rows, solver.damping)
     other = least_squares(problem, best.x, solver, state=best)
-    spent = found.evaluations + len(_SCALES) + other.evaluations
-    better = max(found, other, key=lambda one: problem.share(one.value, one.x))
+    spent = solution.evaluations + len(_SCALES) + other.evaluations
+    better = max(solution, other, key=lambda one: problem.share(one.value, one.x))
     return dataclasses.replace(better, evaluations=spent)
 
 
 def _record(
     job: Job, force: Table | None, deviation: Table | None, time: Table | None
 ) -> CoupledRecord:
-    """Return the record as arrays, refused if it is of another shape."""
+    """Record as arrays, refused if it is of another shape."""
     if force is None and deviation is None:
         raise ValueError(
             "Arguments `force` and `deviation` must not both be missing, but are."
@@ -306,22 +306,23 @@ def _record(
 
 def _report(
     problem: _Problem,
-    found: LeastSquaresState,
+    solution: LeastSquaresState,
     max_relative_error: float,
-    kept: tuple[str, ...],
+    unfitted: tuple[str, ...],
 ) -> CoupledFit:
-    """Return the fit with its errors, by name."""
+    """Fit with its errors, by name."""
     names, count = problem.names, len(problem.names)
-    fit = problem.fit(found.value)
-    C = covariance(found.value, fit, problem.loss)
-    errors, logs = np.sqrt(np.diagonal(C)), found.x[:count]
+    fit = problem.fit(solution.value)
+    C = covariance(solution.value, fit, problem.loss)
+    errors, logs = np.sqrt(np.diagonal(C)), solution.x[:count]
     is_fixed = errors[:count] <= max_relative_error
     given = parameter_values(problem.job)
     values = np.array([given[name] for name in names]) * np.exp(logs)
     correlation = correlation_of(C)[:count, :count]
-    offset, shift = problem.offset(found.x), problem.time_shift(found.x)
-    record = explained_by(problem.measured, fit, offset)
-    explained = record.share
+    offset, shift = problem.offset(solution.x), problem.time_shift(solution.x)
+    explained = explained_by(problem.measured, fit, offset)
+    residual = dict(zip(explained, fit.residual, strict=True))
+    known = {name: off[np.isfinite(off)] for name, off in residual.items()}
     return CoupledFit(
         parameters=_by_name(names, np.where(is_fixed, values, math.nan)),
         standard_errors=_by_name(names, np.abs(values) * errors[:count]),
@@ -330,17 +331,20 @@ def _report(
         identifiable=dict(zip(names, is_fixed.tolist(), strict=True)),
         log_scale=logs,
         explained=explained,
-        residual_rms=record.residual_rms,
-        residual=dict(zip(explained, fit.residual, strict=True)),
+        residual_rms={
+            name: float(np.sqrt(np.sum(off**2) / max(1, off.size)))
+            for name, off in known.items()
+        },
+        residual=residual,
         offset=offset,
         time_shift=shift or 0.0,
         time_shift_error=0.0 if shift is None else float(errors[-1]),
-        has_converged=found.has_converged,
-        simulations=found.evaluations,
+        has_converged=solution.has_converged,
+        simulations=solution.evaluations,
         is_explained=min(explained.values()) >= EXPLAINED,
         notes=(
-            *kept,
-            *coupled_notes(names, is_fixed, correlation, explained, found),
+            *unfitted,
+            *coupled_notes(names, is_fixed, correlation, explained, solution),
         ),
         job=scaled_job(problem.job, names, np.where(is_fixed, logs, 0.0)),
     )

@@ -7,7 +7,6 @@ its cost, where reverse mode would need a pass per row of the record.
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -75,54 +74,36 @@ def modelled(
         Forces and deviations with their derivatives.
     """
     dtype = jnp.dtype(job.simulation.precision)
-    run = _run(job, places, jnp.asarray(log_scale, dtype))
-    wide = lambda values: np.asarray(values, np.float64)
-    return Modelled(
-        wide(run.rows.force),
-        wide(run.rows.deviation),
-        wide(run.slopes.force),
-        wide(run.slopes.deviation),
-        run.result,
+    values, slopes, result = _run(job, places, jnp.asarray(log_scale, dtype))
+    force, deviation, force_slopes, deviation_slopes = (
+        np.asarray(one, np.float64) for one in (*values, *slopes)
     )
-
-
-class _Rows(NamedTuple):
-    """Force [N] and deviation [m], or their derivatives, shape (step, 3, ...)."""
-
-    force: Array
-    deviation: Array
-
-
-class _Run(NamedTuple):
-    """A run with its derivatives by the logarithms of the factors, and its outcome."""
-
-    rows: _Rows
-    slopes: _Rows
-    result: RESULTS
+    return Modelled(force, deviation, force_slopes, deviation_slopes, result)
 
 
 @eqx.filter_jit
 def _run(
     job: Job, places: tuple[int, ...], log_scale: Float[Array, " parameter"]
-) -> _Run:
+) -> tuple[tuple[Array, Array], tuple[Array, Array], RESULTS]:
+    """Force and deviation of a run, their derivatives, and its outcome."""
     desired = jnp.asarray(job.path.positions)
     joints, is_reached = JobKinematics(job).joints(desired)
 
-    def rows(log_scale: Array) -> tuple[_Rows, tuple[_Rows, RESULTS]]:
+    def run(log_scale: Array):
         full = jnp.zeros(len(job.parameter_names), log_scale.dtype)
         scaled = job.with_scaled(full.at[np.array(places)].set(log_scale))
         motors = JobKinematics(scaled).motor_positions_from_joints(joints)
         ran = MachiningProblem.of(scaled, ThroughPoses()).run(motors)
-        found = _Rows(ran.force, ran.actual - desired)
+        values = ran.force, ran.actual - desired
         result = RESULTS.where(jnp.all(is_reached), ran.result, RESULTS.unreachable)
-        return found, (found, result)
+        return values, (values, result)
 
-    slopes, (found, result) = jax.jacfwd(rows, has_aux=True)(log_scale)
-    return _Run(found, slopes, result)
+    slopes, (values, result) = jax.jacfwd(run, has_aux=True)(log_scale)
+    return values, slopes, result
 
 
 def parameter_values(job: Job) -> dict[str, float]:
-    """Return the parameters that can be fitted, by name.
+    """Parameters that can be fitted, by name.
 
     Args:
         job: The job, with a robot.
@@ -140,7 +121,7 @@ def parameter_values(job: Job) -> dict[str, float]:
 def scaled_job(
     job: Job, names: tuple[str, ...], log_scale: Float[np.ndarray, " parameter"]
 ) -> Job:
-    """Return a job with some parameters scaled.
+    """Job with some parameters scaled.
 
     Args:
         job: The job, with a robot.
@@ -167,7 +148,7 @@ def coupled_rows(
     offset: Float[np.ndarray, " 3"] | None,
     shift: float | None,
 ) -> list[Rows]:
-    """Return what a record leaves open, and its derivatives by all unknowns.
+    """Residuals of a record, and their derivatives by all unknowns.
 
     The unknowns are the logarithms, then the offset of the deviation (if fitted) and
     the time shift (if fitted).
@@ -218,7 +199,7 @@ def coupled_rows(
 def mean_over_period(
     time: Table, force: Table, period: float
 ) -> Float[np.ndarray, "row 3"]:
-    """Return the mean of a measured force over the tooth period before each instant.
+    """Mean of a measured force over the tooth period before each instant.
 
     Args:
         time: Instants [s], ascending, shape (row,).

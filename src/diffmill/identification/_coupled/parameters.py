@@ -14,7 +14,7 @@ from .model import parameter_values
 def fitted_names(
     job: Job, fit: Sequence[str] | None, has_force: bool
 ) -> tuple[str, ...]:
-    """Return the names of what is fitted.
+    """Names of the parameters to fit.
 
     Args:
         job: The job, with a robot.
@@ -60,7 +60,7 @@ def fitted_names(
 
 
 def fixed_parameter_note(job: Job, has_force: bool) -> tuple[str, ...]:
-    """Say which parameters are usually fitted, but have no scale to start from.
+    """Sentence about parameters that are usually fitted, but have no start.
 
     Args:
         job: The job, with a robot.
@@ -70,24 +70,24 @@ def fixed_parameter_note(job: Job, has_force: bool) -> tuple[str, ...]:
         A sentence, or none.
     """
     values = parameter_values(job)
-    kept = [
+    without_start = [
         f"{name} is {values[name]:g}"
         for name in _usual_names(values, has_force)
         if not _has_scale(values[name])
     ]
-    if not kept:
+    if not without_start:
         return ()
     return (
         "Not fitted, since a fit starts from a finite number that is not 0: in the job "
-        f"{', '.join(kept)}.",
+        f"{', '.join(without_start)}.",
     )
 
 
 def _has_scale(value: float) -> bool:
-    """Return whether a fit can start from a value; it keeps its sign."""
+    """True if a fit can start from a value; it keeps its sign."""
     return value != 0 and math.isfinite(value)
 
 
 def _usual_names(values: dict[str, float], has_force: bool) -> list[str]:
-    """Return the names of what is fitted if nothing else is asked for."""
+    """Names of the parameters to fit if nothing else is asked for."""
     return [name for name in values if has_force or name[:2] in ("K ", "D ")]

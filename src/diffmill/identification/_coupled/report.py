@@ -1,7 +1,5 @@
 """Report of a fit to a coupled record: what it explains, what is unidentifiable."""
 
-from typing import NamedTuple
-
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -14,24 +12,12 @@ _CONFUSED = 0.9
 EXPLAINED = 0.7
 
 
-class ExplainedRecord(NamedTuple):
-    """What a fit explains of a record, by the name of what was measured.
-
-    Attributes:
-        share: Share of the squares that it explains.
-        residual_rms: Root mean square of the residual [N or m].
-    """
-
-    share: dict[str, float]
-    residual_rms: dict[str, float]
-
-
 def explained_by(
     measured: dict[str, np.ndarray | None],
     fit: LinearFit,
     offset: Float[np.ndarray, " 3"] | None,
-) -> ExplainedRecord:
-    """Return what a fit explains of a record.
+) -> dict[str, float]:
+    """Share of the square of each measurement that a fit explains, by its name.
 
     Args:
         measured: "force" and "deviation", shape (row, 3) each, or None.
@@ -39,15 +25,14 @@ def explained_by(
         offset: Constant part of the deviation [m], shape (3,), or None.
     """
     seen = {name: rows for name, rows in measured.items() if rows is not None}
-    explained, left = {}, {}
+    explained = {}
     for (name, rows), off in zip(seen.items(), fit.residual, strict=True):
         level = np.zeros(3) if name == "force" or offset is None else offset
         known = np.isfinite(off)
         square = float(np.sum((rows - level[None])[known] ** 2))
-        rest = float(np.sum(off[known] ** 2))
-        explained[name] = 1.0 - rest / max(square, 1e-300)
-        left[name] = float(np.sqrt(rest / max(1, int(known.sum()))))
-    return ExplainedRecord(explained, left)
+        residual = float(np.sum(off[known] ** 2))
+        explained[name] = 1.0 - residual / max(square, 1e-300)
+    return explained
 
 
 def coupled_notes(
@@ -55,24 +40,24 @@ def coupled_notes(
     is_fixed: Bool[np.ndarray, " parameter"],
     correlation: Float[np.ndarray, "parameter parameter"],
     explained: dict[str, float],
-    found: LeastSquaresState,
+    solution: LeastSquaresState,
 ) -> tuple[str, ...]:
-    """Say what the numbers alone do not.
+    """Sentences about doubts and about parameters that are not identifiable.
 
     Args:
         names: Of the parameters.
         is_fixed: Which are identifiable, shape (parameter,).
         correlation: Between them, shape (parameter, parameter); may have NaN.
         explained: Share of the squares, by what was measured.
-        found: The fit.
+        solution: The fit.
 
     Returns:
         Sentences, none if all is well.
     """
     notes = []
-    if not found.has_converged:
+    if not solution.has_converged:
         notes.append(
-            f"The fit has not converged after {found.evaluations} simulations: "
+            f"The fit has not converged after {solution.evaluations} simulations: "
             "start nearer, or fit fewer parameters."
         )
     for name, share in explained.items():
@@ -86,19 +71,14 @@ def coupled_notes(
         others = np.abs(np.nan_to_num(correlation[i]))
         others[i] = 0.0
         j = int(np.argmax(others))
-        why = _unseen(names[i])
+        why = "add deeper cuts, and the force to the record"
+        if names[i].startswith("K "):
+            why = "cut where the force turns this joint more, or load it at rest"
+        elif names[i].startswith("D "):
+            why = "record this joint ringing: starts, stops, corners, or a ring-down"
+        elif names[i].endswith("e"):
+            why = "add cuts at other feeds per tooth, and the force to the record"
         if others[j] > _CONFUSED:
             why = f"it cannot be told from {names[j]}; {why}"
         notes.append(f"{names[i]} is not identifiable: {why}.")
     return tuple(notes)
-
-
-def _unseen(name: str) -> str:
-    """Say which record would show a parameter."""
-    if name.startswith("K "):
-        return "cut where the force turns this joint more, or load it at rest"
-    if name.startswith("D "):
-        return "record this joint ringing: starts, stops, corners, or a ring-down"
-    if name.endswith("e"):
-        return "add cuts at other feeds per tooth, and the force to the record"
-    return "add deeper cuts, and the force to the record"

@@ -8,7 +8,6 @@ derivatives by the coefficients gives all six columns C_i, for any path.
 import dataclasses
 import math
 from collections.abc import Callable
-from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -89,7 +88,7 @@ class EngagementColumns(eqx.Module):
 
     @classmethod
     def of_cut(cls, process_or_job: Cut | Job) -> "EngagementColumns":
-        """Simulate a cut once and return its force per unit of every coefficient.
+        """Force of a cut per unit of every coefficient, by one simulation.
 
         Args:
             process_or_job: The cut, or a job, of which the desired path is cut.
@@ -121,7 +120,7 @@ class EngagementColumns(eqx.Module):
 
 
 def cut_of(process_or_job: Cut | Job) -> Cut:
-    """Return the cut of a job, along its desired path by a rigid machine.
+    """Cut of a job, along its desired path by a rigid machine.
 
     Args:
         process_or_job: A job, or a cut, which is returned with its plan filled in.
@@ -154,7 +153,7 @@ def cut_of(process_or_job: Cut | Job) -> Cut:
 
 
 def with_plan(cut: Cut, cutter: AbstractCutter | None = None) -> Cut:
-    """Return a cut with sizes that suit identification, for its cutter or another.
+    """Cut with sizes that suit identification, for its cutter or another.
 
     Finer than for a prediction of mean forces: the waveform counts, and an element of a
     helical edge lags by no more than one sample. All teeth are looked at all the time:
@@ -199,7 +198,7 @@ def with_plan(cut: Cut, cutter: AbstractCutter | None = None) -> Cut:
     return dataclasses.replace(cut, cutter=cutter, axes=axes, engagement=engagement)
 
 
-class CutForce(NamedTuple):
+class CutForce(eqx.Module):
     """Force on the tool in `work` at every angle sample.
 
     Attributes:
@@ -211,7 +210,7 @@ class CutForce(NamedTuple):
     result: RESULTS
 
 
-class LinearForce(NamedTuple):
+class LinearForce(eqx.Module):
     """Force at a point and its derivatives.
 
     Attributes:
@@ -228,18 +227,18 @@ class LinearForce(NamedTuple):
 def linear_force(
     run: Callable[[Float[Array, " unknown"]], CutForce], x: Float[Array, " unknown"]
 ) -> LinearForce:
-    """Return the force of a cut at some unknowns, with its derivatives by them."""
+    """Force of a cut at some unknowns, with its derivatives by them."""
 
     def with_outcome(x: Float[Array, " unknown"]):
-        found = run(x)
-        return found.force, found
+        outcome = run(x)
+        return outcome.force, outcome
 
-    slopes, found = jax.jacfwd(with_outcome, has_aux=True)(x)
-    return LinearForce(slopes, found.force, found.result)
+    slopes, outcome = jax.jacfwd(with_outcome, has_aux=True)(x)
+    return LinearForce(slopes, outcome.force, outcome.result)
 
 
 def instantaneous_force(cut: Cut, coefficients: Float[Array, " 6"]) -> CutForce:
-    """Return the force at every angle sample.
+    """Force at every angle sample.
 
     Args:
         cut: The cut, with a plan.
@@ -264,7 +263,7 @@ def instantaneous_force(cut: Cut, coefficients: Float[Array, " 6"]) -> CutForce:
 
 @eqx.filter_jit
 def _columns(cut: Cut) -> LinearForce:
-    """Return the derivative by the coefficients, and the force without them."""
+    """Derivatives by the coefficients, and the force without them."""
     none = jnp.zeros(6, cut.stock.origin.dtype)
     return linear_force(lambda k: instantaneous_force(cut, k), none)
 
@@ -275,7 +274,7 @@ def at_times(
     spacing: float,
     time: np.ndarray,
 ) -> Float[np.ndarray, "..."]:
-    """Return evenly spaced values at other instants, straight lines between them.
+    """Evenly spaced values at other instants, straight lines between them.
 
     Args:
         values: Values at start + i spacing, shape (sample, ...).

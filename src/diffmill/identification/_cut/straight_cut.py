@@ -1,7 +1,8 @@
 """A straight cut of constant width and depth, as test cuts usually are."""
 
+import dataclasses
 import math
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 
@@ -18,7 +19,8 @@ SETTLED = 12
 _PITCH, _LEAST = 1 / 20, 3
 
 
-class StraightCut(NamedTuple):
+@dataclasses.dataclass(frozen=True)
+class StraightCut:
     """A straight cut of constant sizes.
 
     Attributes:
@@ -38,7 +40,7 @@ class StraightCut(NamedTuple):
     side: Side = "slot"
 
     def cut(self, *, teeth: int = 64, largest_feed: float | None = None) -> Cut:
-        """Return a straight cut along x that begins within the stock.
+        """Straight cut along x that begins within the stock.
 
         The tool stands along +z and moves along +x. In a slot both flanks of the tool
         are engaged; in up milling the stock lies where a tooth enters with a thin chip
@@ -79,7 +81,7 @@ class StraightCut(NamedTuple):
     def immersion(
         diameter: float, radial_depth: float | None, side: Side
     ) -> tuple[float, float]:
-        """Return entry and exit angle of a straight cut [rad].
+        """Entry and exit angle of a straight cut [rad].
 
         Args:
             diameter: Of the cutter [m].

@@ -1,6 +1,6 @@
 """Cross-validation of coefficients on cuts that the fit did not use."""
 
-from typing import NamedTuple
+import dataclasses
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -13,12 +13,13 @@ from .regression_rows import RegisteredRecord, equations
 _MANY = 0.05
 
 
-class CrossValidation(NamedTuple):
+@dataclasses.dataclass(frozen=True)
+class CrossValidation:
     """A part of the records, predicted by the rest.
 
     Attributes:
         record: Index of the record.
-        what: Which part, in words.
+        what: The part and its predictors, in words.
         time: Instants [s], shape (row,), on the record's clock.
         measured: Force in `work` [N], shape (row, 3); NaN where not measured.
         predicted: The same by coefficients from the rest [N], shape (row, 3).
@@ -68,8 +69,9 @@ def cross_validate(fit: ForceCoefficientFit) -> tuple[CrossValidation, ...]:
     return (record.predicted(K, ~first, "its later half by its earlier half"),)
 
 
-class _WeightedRecord(NamedTuple):
-    """The equations of a record, with what each counts in a fit and in an error."""
+@dataclasses.dataclass(frozen=True)
+class _WeightedRecord:
+    """Equations of a record, with their weights in a fit and in an error."""
 
     place: int
     time: Float[np.ndarray, " row"]
@@ -83,7 +85,7 @@ class _WeightedRecord(NamedTuple):
         chosen: Bool[np.ndarray, " row"],
         by: str,
     ) -> CrossValidation:
-        """Return some rows with the prediction of coefficients from others."""
+        """Some rows with the prediction of coefficients from others."""
         measured = self.rows.force[chosen]
         predicted = (self.rows.columns @ K)[chosen]
         counts = self.is_good[chosen]
@@ -97,7 +99,7 @@ class _WeightedRecord(NamedTuple):
 def _weigh(
     place: int, one: RegisteredRecord, K: Float[np.ndarray, " 6"]
 ) -> _WeightedRecord:
-    """Return a record weighted by its scatter about the fit, gross errors not at all.
+    """Record weighted by its scatter about the fit, gross errors not at all.
 
     They count in the error of a prediction where too many rows would be gross.
     """

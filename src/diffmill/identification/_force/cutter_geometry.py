@@ -8,7 +8,7 @@ it the iteration ends.
 """
 
 import dataclasses
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -36,7 +36,7 @@ LENGTHS = ("runout", "radius")
 _START = 2e-6
 # Longest step of a length [m], and the step at which the iteration ends: it converges
 # quadratically, so that the next one would be far smaller.
-_LONGEST, _REST = 1e-5, 1e-7
+_LONGEST_STEP, _SHORTEST_STEP = 1e-5, 1e-7
 _STEPS, _HALVINGS = 15, 4
 # A cost up to this many times that of before is not higher: sampled edges and stock
 # make it uneven.
@@ -88,9 +88,16 @@ def fit_cutter_geometry(
     Raises:
         SimulationFailed: The cut could not be simulated.
     """
-    names = _names(refine)
+    names = (
+        *(("runout_x", "runout_y") if "runout" in refine else ()),
+        *(("radius",) if "radius" in refine else ()),
+    )
     cutter = records[0].cut.cutter
-    start = x = _start(cutter, names)
+    # The fit starts at the run-out that is given.
+    size = max(float(np.max(np.asarray(cutter.runout))), _START)
+    angle = float(np.asarray(cutter.runout_angle))
+    lengths = {"runout_x": size * np.cos(angle), "runout_y": size * np.sin(angle)}
+    start = x = np.array([lengths.get(name, 0.0) for name in names])
     is_runout_known = "runout" not in refine
     has_teeth = not is_runout_known or has_runout(cutter)
     K = fit_rows([equations(one, ()) for one in records], loss).x
@@ -101,10 +108,17 @@ def fit_cutter_geometry(
             state = with_common_teeth(
                 state, K, shift_range, is_runout_known=is_runout_known
             )
-        fit = _fit(state, K, is_sought, loss)
+        current = [one.record for one in state]
+        rows = [
+            equations(
+                one.record, (one.columns(), *shift_part(current, i, K, is_sought))
+            )
+            for i, one in enumerate(state)
+        ]
+        fit = fit_rows(rows, loss)
         K = fit.x[:6]
         step, trial = _stepped(state, names, x, fit, is_sought)
-        has_converged = bool(np.abs(step).max() < _REST)
+        has_converged = bool(np.abs(step).max() < _SHORTEST_STEP)
         if trial is None:
             break
         x, state = x + step, trial
@@ -126,29 +140,17 @@ def _have_moved(
     columns: list[np.ndarray],
     is_stated_confirmed: bool,
 ) -> dict[str, bool]:
-    """Return whether lengths have left their start, or may well have ended there.
+    """True for lengths that have left their start, or may well have ended there.
 
     Both parts of the run-out are one vector. A length that no record shows, or that is
     stated, may stay; the first one is not identifiable anyway.
     """
     is_runout = np.array([name.startswith("runout") for name in names])
-    is_far = np.abs(moves) > _REST
+    is_far = np.abs(moves) > _SHORTEST_STEP
     is_far = np.where(is_runout, np.any(is_far & is_runout), is_far)
     is_shown = np.any([np.any(one != 0, axis=(0, 1)) for one in columns], axis=0)
     may_stay = ~is_shown | ~is_runout | is_stated_confirmed
     return dict(zip(names, (is_far | may_stay).tolist(), strict=True))
-
-
-class _Step(NamedTuple):
-    """The last step of the lengths that was tried.
-
-    Attributes:
-        step: [m], shape (length,).
-        state: The records behind it; None if it raises the cost, as longer ones do.
-    """
-
-    step: np.ndarray
-    state: list[LinearisedRecord] | None
 
 
 def _stepped(
@@ -157,11 +159,16 @@ def _stepped(
     x: np.ndarray,
     fit: LinearFit,
     is_sought: bool,
-) -> _Step:
-    """Return the step of a fit, halved until it does not raise the cost."""
+) -> tuple[np.ndarray, list[LinearisedRecord] | None]:
+    """Step of a fit, halved until it does not raise the cost.
+
+    Returns:
+        The last step that was tried [m], shape (length,), and the records behind it;
+        None if it raises the cost, as longer ones do.
+    """
     count = len(names)
     step = fit.x[6 : 6 + count]
-    step = step * min(1.0, _LONGEST / max(float(np.abs(step).max()), 1e-300))
+    step = step * min(1.0, _LONGEST_STEP / max(float(np.abs(step).max()), 1e-300))
     shifts = fit.x[6 + count :] if is_sought else np.zeros(len(state))
     most = _ALIKE * _own_cost(state, fit)
     for share in 0.5 ** np.arange(_HALVINGS + 1):
@@ -176,24 +183,12 @@ def _stepped(
             # Lengths whose cut cannot be simulated are worse than any.
             continue
         if _own_cost(trial, fit) <= most:
-            return _Step(share * step, trial)
-    return _Step(0.5**_HALVINGS * step, None)
-
-
-def _fit(
-    state: list[LinearisedRecord], K: np.ndarray, is_sought: bool, loss: Loss
-) -> LinearFit:
-    """Fit the linear form of all unknowns."""
-    records = [one.record for one in state]
-    rows = [
-        equations(one.record, (one.columns(), *shift_part(records, i, K, is_sought)))
-        for i, one in enumerate(state)
-    ]
-    return fit_rows(rows, loss)
+            return share * step, trial
+    return 0.5**_HALVINGS * step, None
 
 
 def _own_cost(state: list[LinearisedRecord], fit: LinearFit) -> float:
-    """Return the weighted square that coefficients alone leave, per weight.
+    """Weighted square that coefficients alone leave, per weight.
 
     The lengths and shifts are those of the simulation, not of its linear form.
     """
@@ -206,31 +201,19 @@ def _own_cost(state: list[LinearisedRecord], fit: LinearFit) -> float:
     return sum(squares)
 
 
-def _start(cutter: AbstractCutter, names: tuple[str, ...]) -> np.ndarray:
-    """Return the lengths at which the fit starts: the run-out that is given."""
-    size = max(float(np.max(np.asarray(cutter.runout))), _START)
-    angle = float(np.asarray(cutter.runout_angle))
-    lengths = {"runout_x": size * np.cos(angle), "runout_y": size * np.sin(angle)}
-    return np.array([lengths.get(name, 0.0) for name in names])
-
-
 def has_runout(cutter: AbstractCutter) -> bool:
-    """Return whether a cutter has a run-out of its own."""
+    """True if a cutter has a run-out of its own."""
     return bool(np.any(np.asarray(cutter.runout) > 0))
-
-
-def _names(refine: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the names of the lengths."""
-    both = ("runout_x", "runout_y") if "runout" in refine else ()
-    return both + (("radius",) if "radius" in refine else ())
 
 
 def _simulated(
     one: RegisteredRecord, names: tuple[str, ...], lengths: np.ndarray, K: np.ndarray
 ) -> LinearisedRecord:
-    """Return a record with its cut for given lengths, linearised in these."""
+    """Record with its cut for given lengths, linearised in these."""
     dtype = one.cut.stock.origin.dtype
-    original = _original(one.cut.cutter, dtype)
+    # The cutter with the radius that it was made with.
+    diameter = jnp.asarray(2 * one.cut.cutter.nominal_radius, dtype)
+    original = eqx.tree_at(lambda c: c.diameter, one.cut.cutter, diameter)
     if "runout_x" in names:
         # The plan of the cut is that of teeth which stand out.
         original = dataclasses.replace(original, has_runout=True)  # pyright: ignore[reportCallIssue]
@@ -242,21 +225,22 @@ def _simulated(
     J = np.asarray(linear.slopes[1:], np.float64).reshape(-1, 3, len(x))
     F = np.asarray(linear.force[1:], np.float64).reshape(-1, 3)
     spacing = one.cut.tooth_period / linear.force.shape[1]
-    found = EngagementColumns(0.5 * spacing, spacing, J[:, :, :6], F - J[:, :, :6] @ K)
+    constant = F - J[:, :, :6] @ K
+    engagement = EngagementColumns(0.5 * spacing, spacing, J[:, :, :6], constant)
     cutter = cutter_with(base.cutter, names, jnp.asarray(lengths, dtype))
     moved = dataclasses.replace(
-        one, cut=dataclasses.replace(one.cut, cutter=cutter), engagement=found
+        one, cut=dataclasses.replace(one.cut, cutter=cutter), engagement=engagement
     )
     linearised = LinearisedRecord(moved, J[:, :, 6:])
     size = np.sqrt(np.mean(linearised.columns() ** 2, axis=(0, 1)))
     is_shown = size > _SHOWN * size.max(initial=0.0)
-    return linearised._replace(slopes=np.where(is_shown, J[:, :, 6:], 0.0))
+    return dataclasses.replace(linearised, slopes=np.where(is_shown, J[:, :, 6:], 0.0))
 
 
 def cutter_with(
     cutter: AbstractCutter, names: tuple[str, ...], lengths: Array
 ) -> AbstractCutter:
-    """Return a cutter with other run-out or radius.
+    """Cutter with other run-out or radius.
 
     Args:
         cutter: The cutter.
@@ -284,15 +268,9 @@ def cutter_with(
     return dataclasses.replace(cutter, **changes)  # pyright: ignore[reportArgumentType]
 
 
-def _original(cutter: AbstractCutter, dtype: jnp.dtype) -> AbstractCutter:
-    """Return the cutter with the radius that it was made with."""
-    diameter = jnp.asarray(2 * cutter.nominal_radius, dtype)
-    return eqx.tree_at(lambda c: c.diameter, cutter, diameter)
-
-
 @eqx.filter_jit
 def _derivatives(cut: Cut, x: Array, names: tuple[str, ...]) -> LinearForce:
-    """Return the force with its derivatives by coefficients and lengths."""
+    """Force with its derivatives by coefficients and lengths."""
 
     def run(x: Array) -> CutForce:
         cutter = cutter_with(cut.cutter, names, x[6:])

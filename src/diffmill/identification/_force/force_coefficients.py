@@ -14,7 +14,6 @@ from .._record.channel_faults import check_channels, check_coefficients, similar
 from .._record.clock_faults import check_rate
 from .._record.diagnosis import Diagnosis
 from .._record.spindle_line import check_spindle_line
-from .._statistics.identifiability import identifiable
 from .._statistics.robust_regression import (
     LinearFit,
     Loss,
@@ -30,7 +29,7 @@ from .cutter_geometry import (
     fit_cutter_geometry,
     has_runout,
 )
-from .experiment_advice import advise
+from .identifiability import advise, identifiable
 from .mean_force import NAMES, by_name
 from .regression_rows import (
     Axes,
@@ -45,8 +44,8 @@ from .regression_rows import (
 from .tooth_alignment import LinearisedRecord, with_common_teeth
 
 # Steps of the time shifts after the search, which converge quadratically, and the
-# share of a revolution below which they rest.
-_SHIFT_STEPS, _RESTS = 4, 1e-5
+# share of a revolution below which they have converged.
+_SHIFT_STEPS, _SHORTEST_STEP = 4, 1e-5
 # Residuals of more standard deviations are gross errors, if they are no larger a share.
 _GROSS, _MANY = 6.0, 0.05
 # A channel that varies by less than this share of the liveliest does not vary, and is
@@ -57,11 +56,11 @@ _EXPLAINED = 0.8
 # Rows of a record by which its channels are checked.
 _CHECKED = 20000
 # A length is known if its standard error is below this [m].
-_TOLD = 1e-5
+_LARGEST_LENGTH_ERROR = 1e-5
 
 
 class ResidualSpectrum(NamedTuple):
-    """Amplitudes that a fit leaves, over the frequency.
+    """Amplitudes of the residual of a fit, over the frequency.
 
     Attributes:
         frequency: [Hz], shape (frequency,).
@@ -98,9 +97,9 @@ class ForceCoefficientFit(eqx.Module):
         refined_errors: Standard errors of these [m]; infinite for a length that has
             not moved from where its fit began.
         has_converged: Whether the last step of these was small; true if there are none.
-        diagnoses: What offset, gain or unit would explain what the fit leaves, or makes
-            the coefficients implausible; nothing was changed.
-        doubts: Why the numbers are not to be trusted, in words; the first of the notes.
+        diagnoses: Offset, gain or unit that would explain the residual, or makes the
+            coefficients implausible; nothing was changed.
+        doubts: Reasons to doubt the numbers, in words; the first of the notes.
         notes: What to know, in words: which experiment would help.
         records: The records as fitted, in the axes of the work.
         raw: The six numbers as fitted, identifiable or not [Pa, N/m], shape (6,).
@@ -136,7 +135,7 @@ class ForceCoefficientFit(eqx.Module):
         return self.law_with()
 
     def law_with(self, **known: float) -> LinearEdgeLaw:
-        """Return the force law, given what the records do not tell.
+        """Force law with coefficients that the records do not tell.
 
         Args:
             **known: Coefficients by name [Pa, N/m], in place of those fitted; 0 leaves
@@ -165,7 +164,7 @@ class ForceCoefficientFit(eqx.Module):
         return LinearEdgeLaw(**every)
 
     def residual_force(self, record: int = 0) -> Float[np.ndarray, "row 3"]:
-        """Return measured minus modelled force of a record.
+        """Measured minus modelled force of a record [N], shape (row, 3).
 
         Args:
             record: Index of the record.
@@ -178,7 +177,7 @@ class ForceCoefficientFit(eqx.Module):
         return row.force - row.columns @ self.raw
 
     def residual_spectrum(self, record: int = 0) -> ResidualSpectrum:
-        """Return the amplitudes that the fit leaves, over the frequency.
+        """Amplitudes of the residual over the frequency.
 
         Peaks at the spindle frequency tell of run-out, at the tooth passing and its
         multiples of a wrong engagement or law, elsewhere of vibration. White noise is
@@ -251,14 +250,13 @@ def fit_force_coefficients(
         refined = fit_cutter_geometry(
             records, tuple(refine), is_sought, loss, shift_range
         )
-    found = _settle(refined, is_sought, loss)
-    return _report(found, refined, axes)
+    return _report(_settle(refined, is_sought, loss), refined, axes)
 
 
 def _with_given_teeth(
     records: list[RegisteredRecord], shift_range: float | None
 ) -> list[RegisteredRecord]:
-    """Return records in which the tooth that stands out is that of the cutter."""
+    """Records in which the tooth that stands out is that of the cutter."""
     K = fit_rows([equations(one, ()) for one in records], "squares").x
     alone = [
         LinearisedRecord(one, np.zeros((len(one.engagement.columns), 3, 0)))
@@ -269,7 +267,7 @@ def _with_given_teeth(
 
 
 class _Settled(NamedTuple):
-    """Linear form of all records with its fit, their time shifts at rest."""
+    """Linear form of all records with its fit, at their converged time shifts."""
 
     records: list[RegisteredRecord]
     rows: list[Rows]
@@ -279,7 +277,7 @@ class _Settled(NamedTuple):
 
 
 def _settle(refined: CutterGeometry, is_sought: bool, loss: Loss) -> _Settled:
-    """Fit everything in linear form, and move the time shifts until they rest."""
+    """Fit everything in linear form, and move the time shifts until they converge."""
     records = refined.records
     # Only the slope of the force takes these: gross errors hardly matter.
     K = fit_rows([equations(one, ()) for one in records], "squares").x
@@ -295,7 +293,7 @@ def _settle(refined: CutterGeometry, is_sought: bool, loss: Loss) -> _Settled:
         if not is_sought:
             break
         steps = fit.x[-len(records) :]
-        if np.all(np.abs(steps) < _RESTS * records[0].revolution):
+        if np.all(np.abs(steps) < _SHORTEST_STEP * records[0].revolution):
             break
         records = [
             dataclasses.replace(one, shift=one.shift + float(step))
@@ -306,11 +304,11 @@ def _settle(refined: CutterGeometry, is_sought: bool, loss: Loss) -> _Settled:
 
 
 def _report(
-    found: _Settled, refined: CutterGeometry, axes: Axes
+    settled: _Settled, refined: CutterGeometry, axes: Axes
 ) -> ForceCoefficientFit:
-    """Return the fit with its errors, by name."""
-    records, rows, fit = found.records, found.rows, found.fit
-    C = covariance(rows, fit, found.loss)
+    """Fit with its errors, by name."""
+    records, rows, fit = settled.records, settled.rows, settled.fit
+    C = covariance(rows, fit, settled.loss)
     K, errors = fit.x[:6], np.sqrt(np.diagonal(C))
     known = [np.isfinite(one.force) for one in rows]
     seen = np.concatenate([k.reshape(-1) for k in known])
@@ -322,7 +320,7 @@ def _report(
     dead = _dead_channels(rows, axes)
     doubts = (
         *_doubts(explained, K),
-        *(one.text for one in dead if one.is_doubtful),
+        *(text for text, is_doubtful in dead.items() if is_doubtful),
     )
     size = _sizes(rows, known)
     rms = float(np.sqrt(np.mean(force**2)))
@@ -333,7 +331,7 @@ def _report(
     names = list(refined.values)
     lengths, spreads = np.array(list(refined.values.values())), errors[6 : 6 + more]
     has_moved = np.array(list(refined.has_moved.values()), bool)
-    is_told = (spreads <= _TOLD) & has_moved
+    is_known = (spreads <= _LARGEST_LENGTH_ERROR) & has_moved
     return ForceCoefficientFit(
         coefficients=by_name(np.where(is_fixed, K, np.nan)),
         standard_errors=by_name(errors[:6]),
@@ -346,11 +344,11 @@ def _report(
         axes=axes,
         time_shift=tuple(one.shift for one in records),
         time_shift_errors=tuple(
-            errors[-count:].tolist() if found.is_sought else [0.0] * count
+            errors[-count:].tolist() if settled.is_sought else [0.0] * count
         ),
         refined={
             n: float(v) if ok else math.nan
-            for n, v, ok in zip(names, lengths, is_told, strict=True)
+            for n, v, ok in zip(names, lengths, is_known, strict=True)
         },
         refined_errors={
             n: float(e) if ok else math.inf
@@ -359,32 +357,28 @@ def _report(
         has_converged=refined.has_converged,
         diagnoses=(
             *_diagnoses(records, rows, is_gross, np.where(is_fixed, K, np.nan)),
-            *_spindle_lines(found, is_gross, is_fitted="runout_x" in names),
+            *_spindle_lines(settled, is_gross, is_fitted="runout_x" in names),
         ),
         doubts=doubts,
         notes=(
             *doubts,
-            *(one.text for one in dead if not one.is_doubtful),
+            *(text for text, is_doubtful in dead.items() if not is_doubtful),
             *_lost_notes(records, int(is_gross.sum())),
             *advise(is_fixed, correlation, size, is_measured),
-            *_unsettled_notes(names, refined.has_converged),
-            *_unmoved_notes(refined),
             *_refined_notes(
-                [n for n in names if refined.has_moved[n]],
-                is_told[has_moved],
+                refined,
+                dict(zip(names, is_known.tolist(), strict=True)),
                 records[0].cut.cutter.flute_count,
             ),
-            *_class_notes(K[0], bool(is_fixed[0])),
+            *(_class_notes(K[0]) if is_fixed[0] else ()),
         ),
         records=tuple(records),
         raw=K,
     )
 
 
-def _class_notes(K_tc: float, is_known: bool) -> tuple[str, ...]:
-    """Say which materials have such a pressure: the reader knows which one was cut."""
-    if not is_known:
-        return ()
+def _class_notes(K_tc: float) -> tuple[str, ...]:
+    """Materials with such a pressure: the reader knows which one was cut."""
     names = ", ".join(similar_classes(float(K_tc))) or "no class of materials"
     return (
         f"K_tc is {K_tc * 1e-6:.4g} N/mm^2, as published of {names}; if another was "
@@ -398,42 +392,48 @@ def _diagnoses(
     is_gross: np.ndarray,
     K: Float[np.ndarray, " 6"],
 ) -> tuple[Diagnosis, ...]:
-    """Return what is wrong with channels and units, of rows without gross errors."""
-    found = []
+    """Faults of clocks, channels and units, by rows without gross errors."""
+    diagnoses = []
     sizes = np.cumsum([one.force.size for one in rows])[:-1]
     for i, (one, row, gross) in enumerate(
         zip(records, rows, np.split(is_gross, sizes), strict=True)
     ):
-        runs_away = _rate(one, row, gross.reshape(-1, 3), i)
-        found += runs_away
-        if runs_away:
+        known = np.isfinite(row.force) & ~gross.reshape(-1, 3)
+        F = np.where(known, row.force, 0.0)
+        A = np.where(known[:, :, None], row.columns, 0.0)
+        flat = A.reshape(-1, A.shape[2])
+        x = solve_normal(flat.T @ flat, flat.T @ F.reshape(-1))
+        speed, teeth = 2 * math.pi / one.revolution, one.cut.cutter.flute_count
+        rate = check_rate(one.time, F, A @ x, speed, teeth)
+        diagnoses += [dataclasses.replace(fault, record=i) for fault in rate]
+        if rate:
             # By a wrong clock any channel looks wrong.
             continue
         few = np.linspace(0, len(one.time) - 1, min(len(one.time), _CHECKED))
         few = few.astype(np.int64)
         force = np.where(gross.reshape(-1, 3), np.nan, row.force)[few]
         part = Rows(row.columns[few], force, row.lag)
-        found += check_channels(part, one.time[few], i)
-    return (*found, *check_coefficients(K))
+        diagnoses += check_channels(part, one.time[few], i)
+    return (*diagnoses, *check_coefficients(K))
 
 
 def _spindle_lines(
-    found: _Settled, is_gross: Bool[np.ndarray, " force"], *, is_fitted: bool
+    settled: _Settled, is_gross: Bool[np.ndarray, " force"], *, is_fitted: bool
 ) -> list[Diagnosis]:
-    """Return lines at the spindle's frequency in what the fit leaves.
+    """Lines at the spindle's frequency in the residual.
 
     Args:
-        found: The fit.
-        is_gross: Which forces are gross errors, all records in one row.
+        settled: The fit.
+        is_gross: True for forces that are gross errors, all records in one row.
         is_fitted: Whether a run-out was fitted.
     """
     lines = []
-    ends = np.cumsum([one.force.size for one in found.rows])[:-1]
+    ends = np.cumsum([one.force.size for one in settled.rows])[:-1]
     for i, (one, row, off, gross) in enumerate(
         zip(
-            found.records,
-            found.rows,
-            found.fit.residual,
+            settled.records,
+            settled.rows,
+            settled.fit.residual,
             np.split(is_gross, ends),
             strict=True,
         )
@@ -445,39 +445,25 @@ def _spindle_lines(
         left = np.where(is_used, off, np.nan)
         lines += [
             dataclasses.replace(
-                told, record=i, values={**told.values, "is_fitted": float(is_fitted)}
+                line, record=i, values={**line.values, "is_fitted": float(is_fitted)}
             )
-            for told in check_spindle_line(one.time, left, one.revolution, rms)
+            for line in check_spindle_line(one.time, left, one.revolution, rms)
         ]
     return lines
 
 
-def _rate(
-    one: RegisteredRecord, row: Rows, gross: Bool[np.ndarray, "row 3"], record: int
-) -> list[Diagnosis]:
-    """Return whether the record's clock runs at another rate than the spindle."""
-    known = np.isfinite(row.force) & ~gross
-    F = np.where(known, row.force, 0.0)
-    A = np.where(known[:, :, None], row.columns, 0.0)
-    flat = A.reshape(-1, A.shape[2])
-    x = solve_normal(flat.T @ flat, flat.T @ F.reshape(-1))
-    speed, teeth = 2 * math.pi / one.revolution, one.cut.cutter.flute_count
-    found = check_rate(one.time, F, A @ x, speed, teeth)
-    return [dataclasses.replace(told, record=record) for told in found]
-
-
 def _gross_errors(fit: LinearFit) -> np.ndarray:
-    """Return which forces are gross errors, all records in one row; none if many."""
+    """True for forces that are gross errors, all records in one row; none if many."""
     share = [
         np.abs(np.nan_to_num(r)) / s[None]
         for r, s in zip(fit.residual, fit.spread, strict=True)
     ]
-    found = np.concatenate([one.reshape(-1) for one in share]) > _GROSS
-    return found & (found.mean() <= _MANY)
+    is_gross = np.concatenate([one.reshape(-1) for one in share]) > _GROSS
+    return is_gross & (is_gross.mean() <= _MANY)
 
 
 def _doubts(explained: float, K: np.ndarray) -> tuple[str, ...]:
-    """Say why a fit is not to be trusted."""
+    """Reasons to doubt a fit."""
     doubts = []
     if explained < _EXPLAINED:
         share = f"{explained:.0%}" if explained > 0 else "nothing"
@@ -491,16 +477,9 @@ def _doubts(explained: float, K: np.ndarray) -> tuple[str, ...]:
     return tuple(doubts)
 
 
-class _DeadChannel(NamedTuple):
-    """A force that does not vary, in words, and whether that speaks against the fit."""
-
-    text: str
-    is_doubtful: bool
-
-
-def _dead_channels(rows: list[Rows], axes: Axes) -> list[_DeadChannel]:
-    """Return the forces that do not vary, of axes of the work."""
-    found = []
+def _dead_channels(rows: list[Rows], axes: Axes) -> dict[str, bool]:
+    """Sentences about forces that do not vary; true if that speaks against the fit."""
+    dead = {}
     for place, one in enumerate(rows, 1):
         known = np.isfinite(one.force)
         count = known.sum(axis=0)
@@ -516,13 +495,12 @@ def _dead_channels(rows: list[Rows], axes: Axes) -> list[_DeadChannel]:
                 "channel is dead, leave it out by `channels = "
                 f'{{ F{axes[axis][-1]} = "none" }}`.'
             )
-            is_expected = bool(square[axis] > _EXPECTED * square.sum())
-            found.append(_DeadChannel(text, is_expected))
-    return found
+            dead[text] = bool(square[axis] > _EXPECTED * square.sum())
+    return dead
 
 
 def _lost_notes(records: list[RegisteredRecord], gross: int) -> tuple[str, ...]:
-    """Say what was left out or hardly counts."""
+    """Sentences about samples that were left out or hardly count."""
     notes, saturated = [], sum(one.saturated for one in records)
     if saturated:
         notes.append(
@@ -537,38 +515,29 @@ def _lost_notes(records: list[RegisteredRecord], gross: int) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def _unsettled_notes(names: list[str], has_converged: bool) -> tuple[str, ...]:
-    """Say that the lengths are not those of the least residual."""
-    if has_converged:
-        return ()
-    return (
-        f"The fit of {', '.join(names)} has not converged: start nearer (run-out and "
-        "diameter of the cutter), and look at axes, cut, speed and time shift.",
-    )
-
-
-def _unmoved_notes(refined: CutterGeometry) -> tuple[str, ...]:
-    """Say which lengths are where the fit began: the records did not move them."""
-    unmoved = [name for name, moved in refined.has_moved.items() if not moved]
-    return tuple(
+def _refined_notes(
+    refined: CutterGeometry, is_known: dict[str, bool], flute_count: int
+) -> tuple[str, ...]:
+    """Sentences about lengths of the cutter that the records do not show."""
+    names, notes = list(refined.values), []
+    if not refined.has_converged:
+        notes.append(
+            f"The fit of {', '.join(names)} has not converged: start nearer (run-out "
+            "and diameter of the cutter), and look at axes, cut, speed and time shift."
+        )
+    notes += [
         f"{name} has stayed at {1e6 * refined.values[name]:.3g} um, where its fit "
         "began: no number is told. State a run-out in [cutter] to begin at."
-        for name in unmoved
-    )
-
-
-def _refined_notes(
-    names: list[str], is_told: np.ndarray, flutes: int
-) -> tuple[str, ...]:
-    """Say why a length is not known."""
-    notes = []
-    for name, ok in zip(names, is_told, strict=True):
-        if ok:
+        for name in names
+        if not refined.has_moved[name]
+    ]
+    for name in names:
+        if is_known[name] or not refined.has_moved[name]:
             continue
         why = "add cuts with another radial depth"
         if name.startswith("runout"):
             why = "add cuts with larger feeds, or longer records"
-            if flutes <= 2:
+            if flute_count <= 2:
                 why = (
                     "with two teeth only the difference of their radii shows, so "
                     "run-out across them cannot be seen"
@@ -578,7 +547,7 @@ def _refined_notes(
 
 
 def _sizes(rows: list[Rows], known: list[np.ndarray]) -> np.ndarray:
-    """Return the root mean square force of a unit of each coefficient."""
+    """Root mean square force of a unit of each coefficient, shape (6,)."""
     square = sum(
         np.einsum("tcu,tc->u", one.columns[:, :, :6] ** 2, k.astype(np.float64))
         for one, k in zip(rows, known, strict=True)

@@ -4,9 +4,9 @@ Lines fit any assignment of the axes alike; what tells them apart is the sign pa
 of the coefficients and the ratio of radial to tangential force.
 """
 
+import dataclasses
+import itertools
 import math
-from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
@@ -14,49 +14,36 @@ from .._alignment.axis_assignment import signed_permutations
 from .._alignment.axis_proposal import axes_names
 from .mean_force import FeedRows, FeedValues, MeanForceFit, fit_mean_forces
 
-
-class _Violation(NamedTuple):
-    """What makes no physical sense, and what it adds to the score of an assignment."""
-
-    text: str
-    penalty: float
-
-
-_VIOLATIONS = (
-    _Violation("K_tc is not positive", 4.0),
-    _Violation("K_rc is negative", 3.0),
-    _Violation("K_rc over K_tc is outside 0.1 to 1", 2.0),
-    _Violation("the mean tangential force is not positive", 2.0),
-    _Violation("the mean radial force is not positive", 2.0),
-    _Violation("K_te is negative", 1.0),
-    _Violation("K_re is negative", 1.0),
-)
+# Violations of physics with the penalties that they add to the score of an assignment.
+_PENALTIES = {
+    "K_tc is not positive": 4.0,
+    "K_rc is negative": 3.0,
+    "K_rc over K_tc is outside 0.1 to 1": 2.0,
+    "the mean tangential force is not positive": 2.0,
+    "the mean radial force is not positive": 2.0,
+    "K_te is negative": 1.0,
+    "K_re is negative": 1.0,
+}
 # The axial force of straight flutes is taken to push toward the shank, that of a helix
 # along its hand; that one decides only where nothing else can.
 _AXIAL = {
-    0: (
-        _Violation("the mean axial force is negative", 0.5),
-        _Violation("K_ac is negative", 0.25),
-    ),
-    1: (
-        _Violation("the mean axial force is positive, unlike a right-hand helix", 0.1),
-    ),
-    -1: (
-        _Violation("the mean axial force is negative, unlike a left-hand helix", 0.1),
-    ),
+    0: {"the mean axial force is negative": 0.5, "K_ac is negative": 0.25},
+    1: {"the mean axial force is positive, unlike a right-hand helix": 0.1},
+    -1: {"the mean axial force is negative, unlike a left-hand helix": 0.1},
 }
-_LEFT_HANDED = _Violation("the recorded axes are left-handed", 0.15)
+_LEFT_HANDED = {"the recorded axes are left-handed": 0.15}
 # A coefficient may be this many standard errors below zero by chance.
 _CHANCE = 2.0
 
 
-class MeanAxes(NamedTuple):
-    """One assignment of the axes, and what speaks against it.
+@dataclasses.dataclass(frozen=True)
+class MeanAxes:
+    """One assignment of the axes, with its violations of physics.
 
     Attributes:
         axes: For each axis of the feed frame the recorded one, with its sign.
         score: Sum of the penalties; less is better.
-        violations: What makes no physical sense, in words.
+        violations: Signs and ratios that physics forbids, in words.
         fit: The fit under this assignment.
     """
 
@@ -77,7 +64,7 @@ def propose_mean_axes(
     helix_angle: float = 0.0,
     is_right_handed: bool = False,
 ) -> tuple[MeanAxes, ...]:
-    """Return the assignments of the axes, the one with the most sense first.
+    """Assignments of the axes, the likeliest first.
 
     Args:
         feed_per_tooth: f_z of each cut [m], shape (feed,).
@@ -99,7 +86,7 @@ def propose_mean_axes(
     """
     mean = np.array(mean_force, np.float64)
     feeds = np.array(feed_per_tooth, np.float64)
-    found, hand = [], int(np.sign(helix_angle))
+    proposals, hand = [], int(np.sign(helix_angle))
     for matrix in signed_permutations():
         fit = fit_mean_forces(
             feeds,
@@ -111,21 +98,21 @@ def propose_mean_axes(
         )
         violations = _violations(fit, float(feeds.mean()), hand)
         if is_right_handed and np.linalg.det(matrix) < 0:
-            violations.append(_LEFT_HANDED)
-        score = float(sum(one.penalty for one in violations))
-        texts = tuple(one.text for one in violations)
-        found.append(MeanAxes(axes_names(matrix), score, texts, fit))
-    # Among equals the one that changes least; dynamometers lie flat, z along z.
-    found.sort(key=lambda one: (one.score, one.axes[2][-1] != "z", _changes(one.axes)))
-    return tuple(found)
+            violations |= _LEFT_HANDED
+        score = float(sum(violations.values()))
+        axes = axes_names(matrix)
+        proposals.append(MeanAxes(axes, score, tuple(violations), fit))
+
+    def rank(one: MeanAxes) -> tuple[float, bool, int]:
+        # Among equals the one that changes least; dynamometers lie flat, z along z.
+        changes = sum(name != axis for name, axis in zip(one.axes, "xyz", strict=True))
+        return one.score, one.axes[2][-1] != "z", changes
+
+    return tuple(sorted(proposals, key=rank))
 
 
-def _changes(axes: Sequence[str]) -> int:
-    return sum(name != plain for name, plain in zip(axes, "xyz", strict=True))
-
-
-def _violations(fit: MeanForceFit, feed: float, hand: int) -> list[_Violation]:
-    """Return what makes no sense of a fit.
+def _violations(fit: MeanForceFit, feed: float, hand: int) -> dict[str, float]:
+    """Violations of physics by a fit, with their penalties.
 
     Args:
         fit: The fit.
@@ -150,5 +137,5 @@ def _violations(fit: MeanForceFit, feed: float, hand: int) -> list[_Violation]:
         below("K_re"),
         *((mean["a"] * hand > 0,) if hand else (mean["a"] < 0, below("K_ac"))),
     )
-    known = (*_VIOLATIONS, *_AXIAL[hand])
-    return [one for one, is_so in zip(known, tests, strict=True) if is_so]
+    penalties = {**_PENALTIES, **_AXIAL[hand]}
+    return dict(itertools.compress(penalties.items(), tests))

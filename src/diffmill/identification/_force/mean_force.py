@@ -19,8 +19,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ...cutting import LinearEdgeLaw
-from .._statistics.identifiability import identifiable
-from .uncertainty import relative_uncertainty
+from .identifiability import identifiable, relative_uncertainty
 
 # Order of the coefficients wherever they are a vector.
 NAMES = LinearEdgeLaw.NAMES
@@ -32,7 +31,7 @@ FeedRows = (
 
 
 class MeanForceFit(eqx.Module):
-    """Coefficients from mean forces, with what the lines say about them.
+    """Coefficients from mean forces, with the lines that they are from.
 
     Attributes:
         coefficients: By name, cutting [Pa] and edge [N/m].
@@ -61,7 +60,7 @@ class MeanForceFit(eqx.Module):
         return LinearEdgeLaw(**self.coefficients)
 
     def relative_uncertainty(self, columns: Float[np.ndarray, "row 6"]) -> float:
-        """Return the relative error, equal for all coefficients, that says as much.
+        """Relative error of all coefficients that makes the force as uncertain.
 
         Args:
             columns: Force per coefficient, shape (row, 6).
@@ -153,7 +152,7 @@ def fit_mean_forces(
 def mean_force_matrices(
     teeth: int, axial_depth: float, entry_angle: float, exit_angle: float
 ) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3 3"]]:
-    """Return the mean force per coefficient of a straight cut.
+    """Mean force per coefficient of a straight cut.
 
     Args:
         teeth: Number of teeth N.
@@ -176,7 +175,7 @@ def mean_force_matrices(
 
 
 def by_name(values: Float[np.ndarray, " 6"]) -> dict[str, float]:
-    """Return six numbers with the names of the coefficients."""
+    """Six numbers with the names of the coefficients."""
     return {name: float(v) for name, v in zip(NAMES, values, strict=True)}
 
 
@@ -186,7 +185,7 @@ def _check(
     teeth: int,
     axial_depth: float,
 ) -> None:
-    """Refuse what gives no lines."""
+    """Refuse arguments that give no lines."""
     if feeds.ndim != 1 or mean.shape != (feeds.size, 3):
         raise ValueError(
             "Arguments `feed_per_tooth` and `mean_force` must have shapes (feed,) and "

@@ -63,7 +63,7 @@ class RegisteredRecord(eqx.Module):
 
 
 def equations(one: RegisteredRecord, extra: Sequence[np.ndarray]) -> Rows:
-    """Return the equations of a record for the six coefficients and more.
+    """Equations of a record for the six coefficients and more.
 
     Args:
         one: The record.
@@ -72,10 +72,10 @@ def equations(one: RegisteredRecord, extra: Sequence[np.ndarray]) -> Rows:
     Returns:
         The equations; instants outside the cut count as not measured.
     """
-    found = one.engagement
-    when = one.time + one.shift
-    columns = at_times(found.columns, found.start, found.spacing, when)
-    constant = at_times(found.constant, found.start, found.spacing, when)
+    engagement, when = one.engagement, one.time + one.shift
+    start, spacing = engagement.start, engagement.spacing
+    columns = at_times(engagement.columns, start, spacing, when)
+    constant = at_times(engagement.constant, start, spacing, when)
     # What lies outside the cut reaches as far into it as the filter is long.
     edge = 0.0 if one.lowpass is None else 1.0 / one.lowpass
     is_inside = (when >= edge) & (when <= one.cut.duration - edge)
@@ -96,7 +96,7 @@ def filtered(
     values: Float[np.ndarray, "row 3 column"],
     cutoff: float,
 ) -> Float[np.ndarray, "row 3 column"]:
-    """Return values after a low-pass over the runs in which a force was measured.
+    """Values after a low-pass over the runs in which a force was measured.
 
     Whatever passes it over the same runs loses the same, their ends included, so that
     measured and modelled forces stay comparable.
@@ -134,7 +134,7 @@ def filtered(
 
 
 def force_slope(one: RegisteredRecord, K: np.ndarray) -> Float[np.ndarray, "row 3"]:
-    """Return the rate of the modelled force at the record's instants.
+    """Rate dF/dt of the modelled force at the record's instants [N/s].
 
     Args:
         one: The record.
@@ -143,11 +143,11 @@ def force_slope(one: RegisteredRecord, K: np.ndarray) -> Float[np.ndarray, "row 
     Returns:
         dF/dt [N/s], shape (row, 3).
     """
-    found = one.engagement
-    modelled = found.columns @ K + found.constant
-    when, half = one.time + one.shift, found.spacing / 2
+    engagement = one.engagement
+    modelled = engagement.columns @ K + engagement.constant
+    when, half = one.time + one.shift, engagement.spacing / 2
     after, before = (
-        at_times(modelled, found.start, found.spacing, when + side)
+        at_times(modelled, engagement.start, engagement.spacing, when + side)
         for side in (half, -half)
     )
     return (after - before) / (2 * half)
@@ -156,7 +156,7 @@ def force_slope(one: RegisteredRecord, K: np.ndarray) -> Float[np.ndarray, "row 
 def shift_part(
     records: Sequence[RegisteredRecord], index: int, K: np.ndarray, is_sought: bool
 ) -> tuple[np.ndarray, ...]:
-    """Return the columns of the time shifts in the equations of one record.
+    """Columns of the time shifts in the equations of one record.
 
     Args:
         records: All records.
@@ -176,7 +176,7 @@ def shift_part(
 
 
 def find_shift(one: RegisteredRecord, shift_range: float | None) -> RegisteredRecord:
-    """Return a record with the time shift that suits its cut best.
+    """Record with the time shift that suits its cut best.
 
     Args:
         one: The record.
@@ -207,14 +207,16 @@ def find_shift(one: RegisteredRecord, shift_range: float | None) -> RegisteredRe
     )
     if one.lowpass is not None:
         # Single rows have no neighbours to filter with: the simulation has.
-        found = one.engagement
-        rate, count = 1.0 / found.spacing, len(found.columns)
-        columns = lowpass(found.columns.reshape(count, -1), rate, one.lowpass)
+        engagement = one.engagement
+        rate, count = 1.0 / engagement.spacing, len(engagement.columns)
+        columns = lowpass(engagement.columns.reshape(count, -1), rate, one.lowpass)
         columns = columns.reshape(count, 3, 6)
-        constant = lowpass(found.constant, rate, one.lowpass)
+        constant = lowpass(engagement.constant, rate, one.lowpass)
         few = dataclasses.replace(
             few,
-            engagement=dataclasses.replace(found, columns=columns, constant=constant),
+            engagement=dataclasses.replace(
+                engagement, columns=columns, constant=constant
+            ),
         )
 
     def cost(shift: float) -> float:
@@ -231,10 +233,10 @@ def find_shift(one: RegisteredRecord, shift_range: float | None) -> RegisteredRe
     good = shifts[costs <= (1 + _ALIKE) * costs.min()]
     near = np.abs(shifts - good[np.argmin(np.abs(good))]) <= 4 * step
     best = float(shifts[near][np.argmin(costs[near])])
-    found = minimize_scalar(
+    best_shift = minimize_scalar(
         cost, bounds=(best - step, best + step), options={"xatol": 1e-3 * step}
     )
-    return dataclasses.replace(one, shift=float(found.x))
+    return dataclasses.replace(one, shift=float(best_shift.x))
 
 
 def measured_records(
@@ -245,7 +247,7 @@ def measured_records(
     time_shift: float | Sequence[float] | None,
     cutoff: float | None = None,
 ) -> list[RegisteredRecord]:
-    """Return the records with their cuts, each cut simulated.
+    """Records with their cuts, each cut simulated.
 
     Args:
         process_or_job: A cut, a job or a registration, or a list of them.
@@ -262,9 +264,7 @@ def measured_records(
         ValueError: Wrong shapes, counts or times.
     """
     cuts: list[Source]
-    if isinstance(process_or_job, Sequence) and not isinstance(
-        process_or_job, RecordRegistration
-    ):
+    if isinstance(process_or_job, Sequence):
         cuts, times, forces = list(process_or_job), list(time), list(force)
     else:
         cuts, times, forces = [process_or_job], [time], [force]
@@ -291,7 +291,7 @@ def _measured(
     shift: float,
     cutoff: float | None,
 ) -> RegisteredRecord:
-    """Return one record, its axes those of the work."""
+    """One record, its axes those of the work."""
     when, seen = np.array(time, np.float64), np.array(force, np.float64)
     if when.ndim != 1 or seen.shape != (when.size, 3) or when.size < 12:
         raise ValueError(

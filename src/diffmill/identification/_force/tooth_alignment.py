@@ -11,7 +11,6 @@ import dataclasses
 import functools
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -30,7 +29,8 @@ from .regression_rows import RegisteredRecord, equations, force_slope
 _LESS = 0.999
 
 
-class LinearisedRecord(NamedTuple):
+@dataclasses.dataclass(frozen=True)
+class LinearisedRecord:
     """A record with the change of its force per length of the cutter.
 
     Attributes:
@@ -42,18 +42,19 @@ class LinearisedRecord(NamedTuple):
     slopes: Float[np.ndarray, "sample 3 length"]
 
     def columns(self) -> Float[np.ndarray, "row 3 length"]:
-        """Return the change of the force at the record's instants [N/m]."""
-        found = self.record.engagement
+        """Change of the force per length at the record's instants [N/m]."""
+        engagement = self.record.engagement
         when = self.record.time + self.record.shift
-        return at_times(self.slopes, found.start, found.spacing, when)
+        return at_times(self.slopes, engagement.start, engagement.spacing, when)
 
     def later(self, shift: float) -> "LinearisedRecord":
-        """Return the record with a larger time shift [s]."""
+        """Record with a larger time shift [s]."""
         moved = dataclasses.replace(self.record, shift=self.record.shift + shift)
-        return self._replace(record=moved)
+        return dataclasses.replace(self, record=moved)
 
 
-class _Square(NamedTuple):
+@dataclasses.dataclass(frozen=True)
+class _Square:
     """Weighted square y^T W y - 2 g^T x + x^T G x that coefficients and lengths leave.
 
     Attributes:
@@ -68,7 +69,7 @@ class _Square(NamedTuple):
 
     @classmethod
     def of_rows(cls, rows: Rows, weight: Float[np.ndarray, "row 3"]) -> "_Square":
-        """Return the square of a record at the best small shift, the last unknown.
+        """Square of a record at the best small shift, the last unknown.
 
         Args:
             rows: Its equations.
@@ -83,11 +84,13 @@ class _Square(NamedTuple):
         )
 
     def without_lengths(self) -> "_Square":
-        """Return the square that the six coefficients alone leave."""
-        return self._replace(matrix=self.matrix[:6, :6], right=self.right[:6])
+        """Square that the six coefficients alone leave."""
+        return dataclasses.replace(
+            self, matrix=self.matrix[:6, :6], right=self.right[:6]
+        )
 
     def plus(self, other: "_Square") -> "_Square":
-        """Return the square of two records with common unknowns."""
+        """Square of two records with common unknowns."""
         return _Square(
             self.matrix + other.matrix,
             self.right + other.right,
@@ -95,9 +98,9 @@ class _Square(NamedTuple):
         )
 
     def least(self) -> float:
-        """Return the square that the best unknowns leave."""
+        """Square that the best unknowns leave."""
         g = self.right
-        return self.whole - float(g @ inverse_normal(self.matrix).inverse @ g)
+        return self.whole - float(g @ inverse_normal(self.matrix)[0] @ g)
 
 
 def with_common_teeth(
@@ -107,7 +110,7 @@ def with_common_teeth(
     *,
     is_runout_known: bool,
 ) -> list[LinearisedRecord]:
-    """Return the records, moved by whole teeth so that one run-out suits all.
+    """Records, moved by whole teeth so that one run-out suits all.
 
     The record whose run-out explains most keeps its tooth: that only says which one is
     called 0, unless the run-out is known. The others join one after the other, and each
@@ -144,7 +147,7 @@ def with_common_teeth(
 
 
 def _shifts(one: RegisteredRecord, shift_range: float | None) -> list[float]:
-    """Return the time shifts that differ by whole teeth [s], that of the record first.
+    """Time shifts that differ by whole teeth [s], that of the record first.
 
     The others are those nearest to zero: a record has a revolution of room.
     """
@@ -158,7 +161,7 @@ def _shifts(one: RegisteredRecord, shift_range: float | None) -> list[float]:
 def _squares(
     one: LinearisedRecord, shifts: Sequence[float], K: Float[np.ndarray, " 6"]
 ) -> list[_Square]:
-    """Return the square of a record at each time shift, over the same samples."""
+    """Square of a record at each time shift, over the same samples."""
     moved = [one.later(shift - one.record.shift) for shift in shifts]
     rows = [
         equations(m.record, (m.columns(), force_slope(m.record, K)[:, :, None]))

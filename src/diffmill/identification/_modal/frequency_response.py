@@ -87,30 +87,27 @@ def fit_frequency_response(
     if frequencies is None:
         assert modes is not None
         x = search_modes(model, modes)
-        found = x.size // 2
-        if found < modes:
+        mode_count = x.size // 2
+        if mode_count < modes:
             raise ValueError(
-                f"The response shows {found} modes, but {modes} are sought; give their "
-                "frequencies."
+                f"The response shows {mode_count} modes, but {modes} are sought; give "
+                "their frequencies."
             )
         return _report(x, model)
     guess = np.sort(np.array(frequencies, np.float64))
     ends = [model.refined(guess, np.full(guess.size, zeta)) for zeta in _STARTS]
-    return _report(min(ends, key=lambda end: end.cost).x, model)
-
-
-def _solved(A: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return the least-squares solution, columns scaled."""
-    scale = np.linalg.norm(A, axis=0)
-    scale = np.where(scale > 0, scale, 1.0)
-    return np.linalg.lstsq(A / scale, b, rcond=None)[0] / scale
+    return _report(
+        min(ends, key=lambda x: float(np.sum(model.residual(x) ** 2))), model
+    )
 
 
 def _report(x: Float[np.ndarray, " both"], model: ModeModel) -> FrequencyResponseFit:
-    """Return the fit of the frequencies and damping ratios x."""
+    """Fit of the frequencies and damping ratios x, with its errors."""
     count = x.size // 2
     A, right = model.columns(x), model.rows
-    linear = _solved(A, right)
+    scale = np.linalg.norm(A, axis=0)
+    scale = np.where(scale > 0, scale, 1.0)
+    linear = np.linalg.lstsq(A / scale, right, rcond=None)[0] / scale
     off = right - A @ linear
     # Derivatives by frequencies and ratios at a step far above rounding.
     steps = 1e-6 * np.maximum(np.abs(x), 1e-6)

@@ -13,7 +13,7 @@ neighbours.
 """
 
 import math
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import equinox as eqx
 import numpy as np
@@ -30,53 +30,46 @@ _LEAST_DAMPING = 1e-5
 _ALIKE = 51
 
 
-class RefinedModes(NamedTuple):
-    """Frequencies [Hz], then damping ratios, shape (both,); half the square left."""
-
-    x: Float[np.ndarray, " both"]
-    cost: float
-
-
 class ModeModel(eqx.Module):
-    """A response and what modes make of it, in rows: real parts, then imaginary ones.
+    """Response of a structure and of its modes, real parts, then imaginary ones.
 
     Attributes:
         omega: Angular frequency of the lines [rad/s], shape (line,).
-        factor: What makes a displacement the measured quantity, over the scatter of the
-            line, shape (line,).
+        factor: Measured quantity per displacement, over the scatter of the line, shape
+            (line,).
         scatter: Standard deviation of real and imaginary part, shape (line,).
         rows: The response over its scatter, shape (2 line,).
-        rest: Columns of what lies outside the band, shape (2 line, 2).
+        outer: Columns of the modes outside of the band, shape (2 line, 2).
     """
 
     omega: Float[np.ndarray, " line"]
     factor: Complex[np.ndarray, " line"]
     scatter: Float[np.ndarray, " line"]
     rows: Float[np.ndarray, " row"]
-    rest: Float[np.ndarray, "row 2"]
+    outer: Float[np.ndarray, "row 2"]
 
     def waves(
         self,
         frequencies: Float[np.ndarray, " mode"],
         ratios: Float[np.ndarray, " mode"],
     ) -> Float[np.ndarray, "row mode"]:
-        """Return the response of modes of unit static compliance."""
+        """Response of modes of unit static compliance."""
         own, omega = 2 * math.pi * frequencies[None], self.omega[:, None]
         below = own**2 - omega**2 + 2j * ratios[None] * own * omega
         return _rows(own**2 / below * self.factor[:, None])
 
     def columns(self, x: Float[np.ndarray, " both"]) -> Float[np.ndarray, "row column"]:
-        """Return the columns of all linear unknowns: the modes', then the rest's."""
+        """Columns of all linear unknowns: of the modes, then of those outside."""
         half = x.size // 2
-        return np.hstack([self.waves(x[:half], x[half:]), self.rest])
+        return np.hstack([self.waves(x[:half], x[half:]), self.outer])
 
     def basis(self, x: Float[np.ndarray, " both"]) -> Float[np.ndarray, "row column"]:
-        """Return an orthonormal basis of these columns."""
+        """Orthonormal basis of these columns."""
         columns = self.columns(x)
         return np.linalg.qr(columns / np.linalg.norm(columns, axis=0)[None])[0]
 
     def residual(self, x: Float[np.ndarray, " both"]) -> Float[np.ndarray, " row"]:
-        """Return what the best linear unknowns leave of the response."""
+        """Residual of the response at the best linear unknowns."""
         basis = self.basis(x)
         return self.rows - basis @ (basis.T @ self.rows)
 
@@ -84,8 +77,8 @@ class ModeModel(eqx.Module):
         self,
         frequencies: Float[np.ndarray, " mode"],
         ratios: Float[np.ndarray, " mode"],
-    ) -> RefinedModes:
-        """Return the frequencies and ratios that leave least.
+    ) -> Float[np.ndarray, " both"]:
+        """Frequencies [Hz] and damping ratios with the least residual nearby.
 
         Args:
             frequencies: Where to start [Hz], shape (mode,); kept to a quarter.
@@ -98,8 +91,9 @@ class ModeModel(eqx.Module):
             np.concatenate([share * frequencies, np.full(ratios.size, ratio)])
             for share, ratio in ((_LOWER, _LEAST_DAMPING), (_UPPER, LARGEST_DAMPING))
         )
-        found = least_squares(self.residual, start, bounds=(least, most), x_scale=start)
-        return RefinedModes(found.x, float(found.cost))
+        return least_squares(
+            self.residual, start, bounds=(least, most), x_scale=start
+        ).x
 
 
 def mode_model(
@@ -107,7 +101,7 @@ def mode_model(
     response: Complex[np.ndarray, " line"],
     quantity: Quantity,
 ) -> ModeModel:
-    """Return the model of a measured response.
+    """Model of a measured response.
 
     Args:
         frequency: [Hz], shape (line,).
@@ -122,18 +116,18 @@ def mode_model(
     scatter = _scatter(response)
     factor = factors[quantity] / scatter + 0j
     middle = float(np.median(omega))
-    rest = np.stack([np.ones_like(omega), -((middle / omega) ** 2)], axis=1)
+    outer = np.stack([np.ones_like(omega), -((middle / omega) ** 2)], axis=1)
     return ModeModel(
         omega,
         factor,
         scatter,
         _rows(response / scatter),
-        _rows(rest * factor[:, None]),
+        _rows(outer * factor[:, None]),
     )
 
 
 def _scatter(H: Complex[np.ndarray, " line"]) -> Float[np.ndarray, " line"]:
-    """Return the standard deviation of a part of each line, by its neighbours.
+    """Standard deviation of a part of each line, by its neighbours.
 
     The median over many lines passes over the few at which a resonance bends. Quieter
     lines than usual get no more weight: there the model is what is off.
@@ -150,5 +144,5 @@ def _scatter(H: Complex[np.ndarray, " line"]) -> Float[np.ndarray, " line"]:
 
 
 def _rows(values: Complex[np.ndarray, "line ..."]) -> Float[np.ndarray, "row ..."]:
-    """Return complex rows as real ones: the real parts, then the imaginary ones."""
+    """Complex rows as real ones: the real parts, then the imaginary ones."""
     return np.concatenate([np.real(values), np.imag(values)])

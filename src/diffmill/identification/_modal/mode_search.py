@@ -5,8 +5,6 @@ The mode that explains most of what is left is added, then all are refined, and 
 like a mode over many lines; and a damped mode beside a sharp one has no peak at all.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 from jaxtyping import Float
 
@@ -18,13 +16,13 @@ _RATIOS = (0.01, 0.03, 0.1)
 _BLOCK = 100
 # A mode is there if it explains so many times the scatter of a line. The best of a few
 # thousand that are not there explains less than 20.
-_SEEN = 40.0
+_LEAST_GAIN = 40.0
 # What is left is rounding.
 _ROUNDING = 1e-12
 
 
 def search_modes(model: ModeModel, count: int) -> Float[np.ndarray, " both"]:
-    """Return frequencies and ratios of the modes that explain most.
+    """Frequencies and ratios of the modes that explain most.
 
     Args:
         model: The response.
@@ -40,21 +38,22 @@ def search_modes(model: ModeModel, count: int) -> Float[np.ndarray, " both"]:
         if added is None:
             break
         frequencies, ratios = np.split(x, 2)
-        x = model.refined(
-            np.append(frequencies, added.frequency), np.append(ratios, added.ratio)
-        ).x
+        x = model.refined(np.append(frequencies, added[0]), np.append(ratios, added[1]))
     return x
 
 
-class _Mode(NamedTuple):
-    """Frequency [Hz] and damping ratio [-] of a mode."""
+def _next(
+    model: ModeModel, x: Float[np.ndarray, " both"]
+) -> tuple[float, float] | None:
+    """Frequency [Hz] and damping ratio of the mode that explains most of the residual.
 
-    frequency: float
-    ratio: float
+    Args:
+        model: The response.
+        x: Frequencies and ratios of the modes that were found before.
 
-
-def _next(model: ModeModel, x: Float[np.ndarray, " both"]) -> _Mode | None:
-    """Return the mode that explains most of what is left."""
+    Returns:
+        The mode, or None if none stands out of the scatter.
+    """
     basis = model.basis(x)
     left = model.rows - basis @ (basis.T @ model.rows)
     square = float(left @ left)
@@ -62,7 +61,10 @@ def _next(model: ModeModel, x: Float[np.ndarray, " both"]) -> _Mode | None:
         return None
     best, mode = 0.0, None
     for ratio in _RATIOS:
-        tried = _apart(model.omega / (2 * np.pi), ratio)
+        # Lines that are no nearer than half the width of a mode.
+        f = model.omega / (2 * np.pi)
+        steps = np.floor(np.log(f / f[0]) / ratio)
+        tried = f[np.concatenate([[True], np.diff(steps) > 0])]
         for first in range(0, tried.size, _BLOCK):
             block = tried[first : first + _BLOCK]
             waves = model.waves(block, np.full(block.size, ratio))
@@ -71,11 +73,5 @@ def _next(model: ModeModel, x: Float[np.ndarray, " both"]) -> _Mode | None:
             gain = (left @ waves) ** 2 / np.maximum(own, 1e-6)
             j = int(np.argmax(gain))
             if gain[j] > best:
-                best, mode = float(gain[j]), _Mode(float(block[j]), ratio)
-    return mode if best > _SEEN * square / left.size else None
-
-
-def _apart(f: Float[np.ndarray, " line"], ratio: float) -> Float[np.ndarray, " mode"]:
-    """Return lines that are no nearer than half the width of a mode."""
-    steps = np.floor(np.log(f / f[0]) / ratio)
-    return f[np.concatenate([[True], np.diff(steps) > 0])]
+                best, mode = float(gain[j]), (float(block[j]), ratio)
+    return mode if best > _LEAST_GAIN * square / left.size else None

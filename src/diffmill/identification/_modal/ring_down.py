@@ -118,33 +118,33 @@ def fit_ring_down(time: Values, signal: Values, frequencies: Values) -> RingDown
         np.concatenate([0.7 * guess, np.zeros(count)]),
         np.concatenate([1.4 * guess, np.full(count, 0.9)]),
     )
-    found = least_squares(residual, start, bounds=bounds, x_scale=start)
+    solution = least_squares(residual, start, bounds=bounds, x_scale=start)
     freedom = t.size - 4 * count
-    spread = float(np.sum(found.fun**2)) / freedom
-    C = spread * np.linalg.pinv(found.jac.T @ found.jac)
+    spread = float(np.sum(solution.fun**2)) / freedom
+    C = spread * np.linalg.pinv(solution.jac.T @ solution.jac)
     errors = np.sqrt(np.diagonal(C))
-    order = np.argsort(found.x[:count])
+    order = np.argsort(solution.x[:count])
     both = np.concatenate([order, count + order])
-    zeta, z_error = found.x[count:][order], errors[count:][order]
+    zeta, z_error = solution.x[count:][order], errors[count:][order]
     is_structural = zeta <= LARGEST_DAMPING
     total = max(float(np.sum(y**2)), 1e-300)
     return RingDownFit(
-        frequencies=found.x[:count][order],
+        frequencies=solution.x[:count][order],
         damping_ratios=zeta,
         frequency_errors=errors[:count][order],
         damping_errors=z_error,
         correlation=correlation_of(C)[np.ix_(both, both)],
         identifiable=is_structural & (z_error <= _RELATIVE_ERROR * zeta),
         is_structural=is_structural,
-        explained=1 - float(np.sum(found.fun**2)) / total,
-        fitted=y + found.fun,
+        explained=1 - float(np.sum(solution.fun**2)) / total,
+        fitted=y + solution.fun,
     )
 
 
 def ring_down_frequencies(
     time: Values, signal: Values, count: int
 ) -> Float[np.ndarray, " mode"]:
-    """Return guesses of the frequencies in a free vibration.
+    """Guesses of the frequencies in a free vibration [Hz], shape (mode,).
 
     The largest line of the spectrum is fitted, then the largest of what that leaves,
     and so on: a damped mode beside a sharp one has no peak of its own before.
@@ -167,13 +167,13 @@ def ring_down_frequencies(
     lines = np.fft.rfftfreq(_PADDING * grid.size, step)
     # Less than a period in the record is drift.
     is_wave = lines > 1.0 / float(t[-1] - t[0])
-    found, left = np.zeros(0), y
+    frequencies, residual = np.zeros(0), y
     for _ in range(count):
-        size = np.abs(np.fft.rfft(np.interp(grid, t, left), _PADDING * grid.size))
+        size = np.abs(np.fft.rfft(np.interp(grid, t, residual), _PADDING * grid.size))
         peak = lines[int(np.argmax(np.where(is_wave, size, 0.0)))]
-        fit = fit_ring_down(t, y, np.append(found, peak))
-        found, left = fit.frequencies, y - fit.fitted
-    return found
+        fit = fit_ring_down(t, y, np.append(frequencies, peak))
+        frequencies, residual = fit.frequencies, y - fit.fitted
+    return frequencies
 
 
 def _check(t: np.ndarray, y: np.ndarray, count: int) -> None:

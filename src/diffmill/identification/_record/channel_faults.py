@@ -1,4 +1,4 @@
-"""Faults of a record's channels, by what would explain the rest of it.
+"""Faults of a record's channels, by hypotheses that would explain its residual.
 
 Each hypothesis adds unknowns to the fit of one record: a constant or a line of each
 channel, or the gain of one channel against the others. One is told if it explains half
@@ -6,7 +6,6 @@ of what the coefficients leave of the squared force.
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -37,7 +36,7 @@ _RADIAL, _AXIAL = (0.05, 1.5), 1.5
 def check_channels(
     rows: Rows, time: Float[np.ndarray, " row"], record: int
 ) -> tuple[Diagnosis, ...]:
-    """Return offset, drift or a gain that would explain what a fit leaves.
+    """Offset, drift or a gain that would explain the residual of a fit.
 
     Args:
         rows: Equations of one record; force not a number where it does not count.
@@ -53,80 +52,53 @@ def check_channels(
     square = float(np.sum(F**2))
     one = np.where(known[:, :, None], np.eye(3)[None], 0.0)
     middle = time - 0.5 * (time[0] + time[-1])
-    before = _fit(A, F).squared_residual
+    before, _ = _fit(A, F)
     if not before > _ENOUGH * square:
         return ()
-    offset = _fit(np.concatenate([A, one], axis=2), F)
+    offset, x = _fit(np.concatenate([A, one], axis=2), F)
+    # Code, squared residual [N^2] and values of each hypothesis.
+    faults = [("offset", offset, dict(zip("xyz", x[-3:], strict=True)))]
     slope = one * middle[:, None, None]
-    drift = _fit(np.concatenate([A, one, slope], axis=2), F)
-    values = dict(zip("xyz", offset.x[-3:], strict=True))
-    found = [_Fault(offset.squared_residual, "offset", values)]
-    if drift.squared_residual < _DRIFTS * offset.squared_residual:
-        values = dict(zip("xyz", drift.x[-3:], strict=True))
-        found = [_Fault(drift.squared_residual, "drift", values)]
-    gain = _gain(A, F)
-    if max(gain.ratio, 1 / gain.ratio) > _GAIN:
-        values = {"axis": float(gain.axis), "ratio": gain.ratio}
-        found.append(_Fault(gain.squared_residual, "channel_gain", values))
-    least = min(one.squared_residual for one in found)
-    told = sorted(
-        (one for one in found if one.squared_residual <= _AS_WELL * least),
-        key=lambda one: one.squared_residual,
-    )
+    drift, x = _fit(np.concatenate([A, one, slope], axis=2), F)
+    if drift < _DRIFTS * offset:
+        faults = [("drift", drift, dict(zip("xyz", x[-3:], strict=True)))]
+    left, axis, ratio = _gain(A, F)
+    if max(ratio, 1 / ratio) > _GAIN:
+        values = {"axis": float(axis), "ratio": ratio}
+        faults.append(("channel_gain", left, values))
+    faults.sort(key=lambda fault: fault[1])
     return tuple(
         Diagnosis(
-            one.code,
+            code,
             record,
             {
-                **{k: float(v) for k, v in one.values.items()},
+                **{k: float(v) for k, v in values.items()},
                 "before": before / square,
-                "left": one.squared_residual / square,
+                "left": left / square,
             },
         )
-        for one in told
-        if one.squared_residual < _EXPLAINS * before
+        for code, left, values in faults
+        if left <= _AS_WELL * faults[0][1] and left < _EXPLAINS * before
     )
 
 
-class _Fault(NamedTuple):
-    """A fault of the channels with its numbers, and the squared force that it leaves.
-
-    Attributes:
-        squared_residual: [N^2].
-        code: Of a `Diagnosis`.
-        values: Of a `Diagnosis`.
-    """
-
-    squared_residual: float
-    code: str
-    values: dict[str, float]
-
-
-class _Fit(NamedTuple):
-    """Squared force that a fit leaves [N^2], and its unknowns, shape (unknown,)."""
-
-    squared_residual: float
-    x: Float[np.ndarray, " unknown"]
-
-
-def _fit(A: Float[np.ndarray, "row 3 unknown"], F: Float[np.ndarray, "row 3"]) -> _Fit:
+def _fit(
+    A: Float[np.ndarray, "row 3 unknown"], F: Float[np.ndarray, "row 3"]
+) -> tuple[float, Float[np.ndarray, " unknown"]]:
+    """Squared residual [N^2] of the best unknowns, and these, shape (unknown,)."""
     flat, right = A.reshape(-1, A.shape[2]), F.reshape(-1)
     x = solve_normal(flat.T @ flat, flat.T @ right)
-    return _Fit(float(np.sum((right - flat @ x) ** 2)), x)
-
-
-class _Gain(NamedTuple):
-    """Gain of one channel [-], and the squared force that it leaves [N^2]."""
-
-    squared_residual: float
-    axis: int
-    ratio: float
+    return float(np.sum((right - flat @ x) ** 2)), x
 
 
 def _gain(
     A: Float[np.ndarray, "row 3 unknown"], F: Float[np.ndarray, "row 3"]
-) -> _Gain:
-    """Return the gain of one channel that leaves least."""
+) -> tuple[float, int, float]:
+    """Least squared residual [N^2] with another gain of one channel, and that.
+
+    Returns:
+        The residual, the axis of the channel and its gain [-].
+    """
     G = np.einsum("tcu,tcv->cuv", A, A)
     g = np.einsum("tcu,tc->cu", A, F)
     square = float(np.sum(F**2))
@@ -140,15 +112,15 @@ def _gain(
 
     seen = np.flatnonzero(np.any(F != 0, axis=0))
     tried = [
-        _Gain(squared_residual(axis, float(gain)), axis, float(gain))
+        (squared_residual(axis, float(gain)), axis, float(gain))
         for axis in seen.tolist()
         for gain in _GAINS
     ]
-    return min(tried, default=_Gain(math.inf, 0, 1.0))
+    return min(tried, default=(math.inf, 0, 1.0))
 
 
 def similar_classes(K_tc: float) -> tuple[str, ...]:
-    """Return the classes of materials that such a pressure is known of [Pa]."""
+    """Classes of materials with such a pressure K_tc [Pa]."""
     known: dict[str, list[float]] = {}
     for one in materials().values():
         known.setdefault(one.kind, []).append(float(one.law.K_tc))
@@ -160,7 +132,7 @@ def similar_classes(K_tc: float) -> tuple[str, ...]:
 
 
 def check_coefficients(K: Float[np.ndarray, " 6"]) -> tuple[Diagnosis, ...]:
-    """Return whether no known material has such coefficients.
+    """Diagnosis of coefficients that no known material has.
 
     Args:
         K: Coefficients [Pa, N/m]; NaN where not known, shape (6,).

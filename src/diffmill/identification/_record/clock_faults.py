@@ -1,7 +1,6 @@
 """Faults of a record's clock and tooth count, from the phase of the teeth."""
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Complex, Float
@@ -16,7 +15,7 @@ _TURNS, _WINDOWS = 2, 8
 _STEP, _WANDER, _STANDS_OUT = 0.15, 0.3, 5.0
 # A phase that runs away by so much over a record, and the share of the largest product
 # of waves below which a window is out of the cut.
-_RUNS_AWAY, _CUTS = 0.5, 0.1
+_RUNS_AWAY, _CUTTING_SHARE = 0.5, 0.1
 # Harmonics of the turn that are looked at, share of the square of all of them that
 # belongs to the teeth, and what is too little for those that are given.
 _HARMONICS, _OF_TEETH, _TOO_LITTLE = 24, 0.97, 0.8
@@ -28,7 +27,7 @@ def check_clock(
     spindle_speed: float,
     flute_count: int,
 ) -> tuple[Diagnosis, ...]:
-    """Return what the phase of the tooth passing says of the clock.
+    """Faults of the clock by the phase of the tooth passing.
 
     An even clock and an even spindle keep the phase on a straight line. Where samples
     were lost unseen it steps; a step of whole tooth periods shows nothing and does no
@@ -44,8 +43,8 @@ def check_clock(
         At most one diagnosis.
     """
     omega = spindle_speed * flute_count
-    found = _windows(time, force, omega, _TURNS * 2 * math.pi / spindle_speed)
-    middle, waves = found.time, found.wave
+    length = _TURNS * 2 * math.pi / spindle_speed
+    middle, waves = _windows(time, force, omega, length)
     if middle.size < _WINDOWS:
         return ()
     turns = np.sum(waves[1:] * np.conj(waves[:-1]), axis=1)
@@ -53,16 +52,16 @@ def check_clock(
     usual = np.angle(np.median(turns.real) + 1j * np.median(turns.imag))
     steps = np.angle(turns * np.exp(-1j * usual))
     phase = np.concatenate([[0.0], np.cumsum(steps)])
-    straight = _line(middle, phase, None)
+    straight_rms, _ = _line(middle, phase, None)
     places = range(2, middle.size - 3)
     broken = [_line(middle, phase, k) for k in places]
-    best = int(np.argmin([one.rms for one in broken]))
-    rms, step = broken[best].rms, broken[best].step
-    if abs(step) > max(_STEP, _STANDS_OUT * rms) and rms < 0.5 * straight.rms:
+    best = int(np.argmin([rms for rms, _ in broken]))
+    rms, step = broken[best]
+    if abs(step) > max(_STEP, _STANDS_OUT * rms) and rms < 0.5 * straight_rms:
         values = {"time": float(middle[places[best]]), "shift": step / omega}
         return (Diagnosis("samples_lost", 0, values),)
-    if straight.rms > _WANDER:
-        values = {"spread": straight.rms / omega}
+    if straight_rms > _WANDER:
+        values = {"spread": straight_rms / omega}
         return (Diagnosis("clock_wanders", 0, values),)
     return ()
 
@@ -74,7 +73,7 @@ def check_rate(
     spindle_speed: float,
     flute_count: int,
 ) -> tuple[Diagnosis, ...]:
-    """Return whether the teeth pass at another rate than those of the prediction.
+    """Diagnosis of teeth that pass at another rate than those of the prediction.
 
     Rows that are lost here and there of a record without instants make its clock fast:
     the phase of the tooth passing then runs away from that of any prediction, whose
@@ -91,32 +90,20 @@ def check_rate(
         At most one diagnosis.
     """
     omega, length = spindle_speed * flute_count, 2 * math.pi / spindle_speed
-    found = _windows(time, force, omega, length)
-    others = _windows(time, predicted, omega, length).wave
-    middle, cross = found.time, np.sum(found.wave * np.conj(others), axis=1)
+    middle, waves = _windows(time, force, omega, length)
+    _, others = _windows(time, predicted, omega, length)
+    cross = np.sum(waves * np.conj(others), axis=1)
     # Out of the cut there is no phase.
-    cuts = np.abs(cross) > _CUTS * np.max(np.abs(cross), initial=0.0)
+    cuts = np.abs(cross) > _CUTTING_SHARE * np.max(np.abs(cross), initial=0.0)
     middle, cross = middle[cuts], cross[cuts]
     if middle.size < _WINDOWS:
         return ()
     phase = np.unwrap(np.angle(cross))
     slope = float(np.polyfit(middle, phase, 1)[0])
     off = abs(slope) * (middle[-1] - middle[0])
-    if off < _RUNS_AWAY or off < _STANDS_OUT * _line(middle, phase, None).rms:
+    if off < _RUNS_AWAY or off < _STANDS_OUT * _line(middle, phase, None)[0]:
         return ()
     return (Diagnosis("clock_rate", 0, {"ratio": 1 + slope / omega}),)
-
-
-class _Waves(NamedTuple):
-    """Waves at a frequency in windows of a record.
-
-    Attributes:
-        time: Middles of the windows [s], shape (window,).
-        wave: Complex amplitudes [N], shape (window, axis).
-    """
-
-    time: Float[np.ndarray, " window"]
-    wave: Complex[np.ndarray, "window axis"]
 
 
 def _windows(
@@ -124,10 +111,15 @@ def _windows(
     force: Float[np.ndarray, "row axis"],
     omega: float,
     length: float,
-) -> _Waves:
-    """Return the waves at a frequency in windows without overlap."""
+) -> tuple[Float[np.ndarray, " window"], Complex[np.ndarray, "window axis"]]:
+    """Waves at a frequency in windows without overlap.
+
+    Returns:
+        Middles of the windows [s], shape (window,), and complex amplitudes [N], shape
+        (window, axis).
+    """
     place = np.floor((time - time[0]) / length).astype(np.int64)
-    found = []
+    middles, waves = [], []
     for window in range(int(place[-1])):
         rows = place == window
         if np.count_nonzero(rows) < 8:
@@ -135,33 +127,30 @@ def _windows(
         t, F = time[rows], force[rows] - force[rows].mean(axis=0)
         hann = np.sin(math.pi * ((t - time[0]) / length - window)) ** 2
         wave = np.sum((hann * np.exp(-1j * omega * t))[:, None] * F, axis=0)
-        found.append((time[0] + (window + 0.5) * length, wave / hann.sum()))
-    if not found:
-        return _Waves(np.zeros(0), np.zeros((0, force.shape[1]), np.complex128))
-    return _Waves(
-        np.array([t for t, _ in found]), np.stack([wave for _, wave in found])
-    )
+        middles.append(time[0] + (window + 0.5) * length)
+        waves.append(wave / hann.sum())
+    count = force.shape[1]
+    return np.array(middles), np.array(waves, np.complex128).reshape(-1, count)
 
 
-class _Line(NamedTuple):
-    """A line through a phase: what it leaves, rms, and its step [rad]."""
+def _line(time: np.ndarray, phase: np.ndarray, at: int | None) -> tuple[float, float]:
+    """Residual rms [rad] and step [rad] of a line through a phase.
 
-    rms: float
-    step: float
-
-
-def _line(time: np.ndarray, phase: np.ndarray, at: int | None) -> _Line:
-    """Return the line through a phase, with a step at a window or without."""
+    Args:
+        time: Middles of the windows [s].
+        phase: [rad].
+        at: Window of the step, or None for a line without one.
+    """
     place = np.arange(time.size)
     columns = [np.ones_like(time), time - time.mean()]
     if at is not None:
         # The window in which the phase steps has neither phase.
         columns.append((place > at).astype(float))
-    kept = place != at
-    A, phase = np.stack(columns, axis=1)[kept], phase[kept]
+    rows = place != at
+    A, phase = np.stack(columns, axis=1)[rows], phase[rows]
     x = np.linalg.lstsq(A, phase, rcond=None)[0]
     rms = float(np.sqrt(np.mean((phase - A @ x) ** 2)))
-    return _Line(rms, float(x[-1]) if at is not None else 0.0)
+    return rms, float(x[-1]) if at is not None else 0.0
 
 
 def check_teeth(
@@ -170,7 +159,7 @@ def check_teeth(
     spindle_speed: float,
     flute_count: int,
 ) -> tuple[Diagnosis, ...]:
-    """Return whether the forces repeat another number of times per turn than teeth do.
+    """Diagnosis of forces that repeat another number of times a turn than teeth do.
 
     Args:
         time: Instants of a steady cut [s], shape (row,).
@@ -185,10 +174,10 @@ def check_teeth(
     step = float(np.median(np.diff(time)))
     count = min(_HARMONICS, int(0.45 * turn / step))
     try:
-        found = harmonics(time, force, spindle_speed, count)[1:]
+        waves = harmonics(time, force, spindle_speed, count)[1:]
     except ValueError:
         return ()
-    power = np.sum(np.abs(found) ** 2, axis=1)
+    power = np.sum(np.abs(waves) ** 2, axis=1)
     order = np.arange(1, count + 1)
     share = {
         n: float(power[order % n == 0].sum() / max(power.sum(), 1e-300))

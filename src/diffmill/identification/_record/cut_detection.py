@@ -33,7 +33,7 @@ class CutSpan(NamedTuple):
         window: float | None = None,
         shortest: float | None = None,
     ) -> "list[CutSpan]":
-        """Return the cuts in a record, in their order.
+        """Cuts in a record, in their order.
 
         The force's variation within a moving window is compared with its level in the
         quietest and the loudest twentieth of the record; if these are alike, in its
@@ -86,7 +86,7 @@ class CutSpan(NamedTuple):
 def _levels(
     loud: list[Float[np.ndarray, " sample"]], width: int
 ) -> tuple[float, float]:
-    """Return how loud the record is where it is quiet, and where it is loud [N]."""
+    """Levels of the record where it is quiet and where it is loud [N]."""
     from scipy.ndimage import median_filter
 
     quiet, high = np.quantile(np.concatenate(loud), [0.05, 0.95]).tolist()
@@ -108,7 +108,7 @@ def _levels(
 def _loudness(
     record: Record, part: slice, width: int, tooth_frequency: float | None
 ) -> Float[np.ndarray, " sample"]:
-    """Return the variation of the force in a moving window [N], all axes together."""
+    """Variation of the force in a moving window [N], all axes together."""
     from scipy.ndimage import uniform_filter1d
 
     force = record.force[part] - record.force[part].mean(axis=0)[None]
@@ -129,7 +129,7 @@ def _loudness(
 def _hysteresis(
     level: Float[np.ndarray, " sample"], begin: float, end: float, width: int
 ) -> list[tuple[int, int]]:
-    """Return runs above `end` that reach `begin`, short pauses between them closed."""
+    """Runs above `end` that reach `begin`, short pauses between them closed."""
     is_above = np.concatenate([[0], (level > end).astype(int), [0]])
     edges = np.flatnonzero(np.diff(is_above)).reshape(-1, 2)
     runs: list[tuple[int, int]] = []
@@ -146,7 +146,7 @@ def _hysteresis(
 def _drawn_in(
     level: Float[np.ndarray, " sample"], first: int, last: int, width: int, full: float
 ) -> tuple[int, int]:
-    """Return the ends of a run where it reaches a share of its usual level."""
+    """Ends of a run where it reaches a share of its usual level."""
     inside = level[first : last + 1]
     reached = np.flatnonzero(inside >= full * np.median(inside))
     begin = 0 if first == 0 else min(int(reached[0]), width)

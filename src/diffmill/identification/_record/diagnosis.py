@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import equinox as eqx
 
-# What makes coefficients wrong, as against what is only worth knowing.
+# Codes of faults that make coefficients wrong; others are only worth knowing.
 _GRAVE = (
     "samples_lost",
     "clock_rate",
@@ -21,10 +21,10 @@ _GRAVE = (
 
 
 class Diagnosis(eqx.Module):
-    """Something about a record that its numbers tell.
+    """Fault of a record, by its numbers.
 
     Attributes:
-        code: What it is:
+        code: Kind of the fault:
             "samples_lost": phase steps by `shift` [s] at the instant `time` [s];
             "clock_wanders": clock and spindle part by `spread` [s] rms;
             "clock_rate": teeth pass `ratio` times as often as the spindle turns them;
@@ -39,7 +39,7 @@ class Diagnosis(eqx.Module):
             "implausible_pressure": K_tc, `value` [Pa], lies outside `least` to `most`,
             and would not divided by `factor` (NaN where no power of ten helps);
             "implausible_ratio": `radial` or `axial` over tangential coefficient.
-        record: Index of the record it is about; 0 for what concerns all.
+        record: Index of its record; 0 if it concerns all.
         values: Its numbers, by name.
     """
 
@@ -49,5 +49,5 @@ class Diagnosis(eqx.Module):
 
     @property
     def is_grave(self) -> bool:
-        """Whether coefficients are wrong by it."""
+        """True if coefficients are wrong by it."""
         return self.code in _GRAVE

@@ -2,13 +2,11 @@
 
 import dataclasses
 import itertools
-from typing import NamedTuple
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float
 
-from .channel import MeasuredChannel, Tare
 from .spindle_angle import Pulses
 
 # Standard deviations beyond which a sample of a tare section is off its median, and
@@ -18,26 +16,64 @@ from .spindle_angle import Pulses
 _GROSS, _LEAST, _SAMPLES = 6.0, 0.02, 3.0
 
 
-class TurnsMean(NamedTuple):
-    """Mean force over revolutions [N], shape (3,), and what was left out, in words."""
+@dataclasses.dataclass(frozen=True)
+class MeasuredChannel:
+    """A column of a file, and the quantity that it was read as.
+
+    Attributes:
+        quantity: Name of the quantity, such as "Fx" or "time".
+        column: Name of the column in the file.
+        unit: Unit or sensitivity that the user or the file states; "" for none.
+        si_unit: SI unit of the quantity; "" for a number without a dimension.
+        lowest: Smallest number in `si_unit`.
+        highest: Largest number in `si_unit`.
+    """
+
+    quantity: str
+    column: str
+    unit: str
+    si_unit: str
+    lowest: float
+    highest: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Tare:
+    """Offset and drift of a record by its sections without a cut, in recorded axes.
+
+        offset + drift * (time - instant)
+
+    Attributes:
+        instant: Instant of the offset [s].
+        offset: Mean force at the instant [N], shape (3,).
+        drift: Slope of the force [N/s], shape (3,); zero where one section is known.
+        noise: Standard deviation of the force in the sections, about a line over time
+            [N], shape (3,).
+    """
+
+    instant: float
+    offset: Float[np.ndarray, " 3"]
+    drift: Float[np.ndarray, " 3"]
+    noise: Float[np.ndarray, " 3"]
+
+    def force(
+        self, time: Float[np.ndarray, " sample"]
+    ) -> Float[np.ndarray, "sample 3"]:
+        """Offset and drift at instants [s] as a force [N], shape (sample, 3)."""
+        return self.offset[None] + self.drift[None] * (time - self.instant)[:, None]
+
+
+@dataclasses.dataclass(frozen=True)
+class TurnsMean:
+    """Mean force over revolutions.
+
+    Attributes:
+        force: [N], shape (3,).
+        notes: Revolutions that were left out, in words.
+    """
 
     force: Float[np.ndarray, " 3"]
     notes: tuple[str, ...] = ()
-
-
-class _Level(NamedTuple):
-    """Force of a section without a cut.
-
-    Attributes:
-        time: Mean instant [s].
-        force: Mean force [N], shape (axis,).
-        noise: Standard deviation of the force about a line over time [N], shape
-            (axis,).
-    """
-
-    time: float
-    force: Float[np.ndarray, " axis"]
-    noise: Float[np.ndarray, " axis"]
 
 
 class Record(eqx.Module):
@@ -115,7 +151,7 @@ class Record(eqx.Module):
             )
 
     def section(self, start: float, stop: float) -> "Record":
-        """Return the samples from `start` to `stop` [s], both included.
+        """Samples from `start` to `stop` [s], both included.
 
         Raises:
             ValueError: Fewer than two samples are left.
@@ -129,11 +165,11 @@ class Record(eqx.Module):
             )
         names = ("time", "force", "is_saturated", "is_after_gap", "tacho", "angle")
         values = {name: getattr(self, name) for name in names}
-        kept = {name: None if v is None else v[keep] for name, v in values.items()}
-        return dataclasses.replace(self, **kept)
+        part = {name: None if v is None else v[keep] for name, v in values.items()}
+        return dataclasses.replace(self, **part)
 
     def parts_between_gaps(self, *, longest: float = 0.0) -> list[slice]:
-        """Return the samples between the gaps, one slice for each part.
+        """Samples between the gaps, one slice for each part.
 
         Args:
             longest: A gap that lasts no longer parts nothing [s].
@@ -143,7 +179,7 @@ class Record(eqx.Module):
         return [slice(int(a), int(b)) for a, b in itertools.pairwise(starts)]
 
     def tare(self, before: slice, after: slice | None = None) -> Tare:
-        """Return offset, drift and noise by sections without a cut.
+        """Offset, drift and noise by sections without a cut.
 
         Gross errors, six standard deviations off the section's median, do not count.
 
@@ -158,21 +194,20 @@ class Record(eqx.Module):
         """
         first = self._level(before)
         if after is None:
-            nothing = np.zeros_like(first.force)
-            return Tare(first.time, first.force, nothing, first.noise)
+            return first
         second = self._level(after)
-        if first.time == second.time:
+        if first.instant == second.instant:
             raise ValueError("Arguments `before` and `after` must be two sections.")
-        slope = (second.force - first.force) / (second.time - first.time)
+        slope = (second.offset - first.offset) / (second.instant - first.instant)
         noise = np.sqrt(0.5 * (first.noise**2 + second.noise**2))
-        return Tare(first.time, first.force, slope, noise)
+        return Tare(first.instant, first.offset, slope, noise)
 
     def without(self, tare: Tare) -> "Record":
-        """Return the record less its offset and drift."""
+        """Record less its offset and drift."""
         return dataclasses.replace(self, force=self.force - tare.force(self.time))
 
     def without_offset(self, section: slice) -> "Record":
-        """Return the record less the mean force of a section without cut.
+        """Record less the mean force of a section without cut.
 
         Args:
             section: The section [s], as `tare` takes it.
@@ -183,7 +218,7 @@ class Record(eqx.Module):
         return self.without(self.tare(section))
 
     def without_drift(self, before: slice, after: slice) -> "Record":
-        """Return the record less the line through two sections without cut.
+        """Record less the line through two sections without cut.
 
         Args:
             before: The tare section before the cut [s], as `tare` takes it.
@@ -197,7 +232,7 @@ class Record(eqx.Module):
     def mean_over_turns(
         self, start: float, stop: float, spindle_speed: float | None
     ) -> "TurnsMean":
-        """Return the mean force of a straight cut.
+        """Mean force of a straight cut [N].
 
         Offset and drift are removed before. Single samples cannot be judged, since a
         cut is all peaks; the means of its revolutions are alike.
@@ -246,7 +281,7 @@ class Record(eqx.Module):
     def angle_from_tacho(
         self, *, pulses_per_turn: int = 1, first_angle: float = 0.0, smoothing: int = 1
     ) -> Float[np.ndarray, " sample"]:
-        """Return the spindle's angle from the pulses of a tacho.
+        """Angle of the spindle from the pulses of a tacho [rad], shape (sample,).
 
         A pulse is where the signal rises through the middle of its range, to a part of
         a sample; it counts again only after falling below 40 % of the range. The angle
@@ -275,8 +310,8 @@ class Record(eqx.Module):
         pulses = pulses.smoothed(smoothing)
         return first_angle + pulses.passed(self.time) * 2 * np.pi / pulses_per_turn
 
-    def _level(self, section: slice) -> "_Level":
-        """Return the level of a section, gross errors left out."""
+    def _level(self, section: slice) -> Tare:
+        """Mean force and noise of a section, gross errors left out; without a drift."""
         part = self.section(section.start, section.stop)
         off = np.abs(part.force - np.median(part.force, axis=0)[None])
         # The median deviation is 0.67 standard deviations; none tells of few digits.
@@ -289,4 +324,4 @@ class Record(eqx.Module):
         slope = np.sum(late * part.force, axis=0) / np.sum(late**2, axis=0)
         off = part.force - level[None] - slope[None] * late
         noise = np.sqrt(np.mean(off**2, axis=0, where=is_good))
-        return _Level(float(part.time.mean()), level, noise)
+        return Tare(float(part.time.mean()), level, np.zeros_like(level), noise)

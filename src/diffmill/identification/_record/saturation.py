@@ -18,7 +18,7 @@ _ZERO = 0.02
 def find_saturated(
     force: Float[np.ndarray, "sample axis"], *, shortest: int = 3
 ) -> Bool[np.ndarray, "sample axis"]:
-    """Return where a channel stays at the end of its range.
+    """True where a channel stays at the end of its range.
 
     The end is the largest or smallest value at which `shortest` or more samples in
     succession are equal, or alike to a thousandth of the range, and beyond which lie
@@ -53,7 +53,7 @@ def find_saturated(
 def find_measured_saturated(
     force: Float[np.ndarray, "sample axis"],
 ) -> Bool[np.ndarray, "sample axis"]:
-    """Return where forces that were not measured all the time are saturated.
+    """True where forces that were not measured all the time are saturated.
 
     Args:
         force: Samples of each channel [N], NaN where not measured, shape
@@ -72,7 +72,7 @@ def without_saturated(
     force: Float[np.ndarray, "sample axis"],
     is_saturated: Bool[np.ndarray, "sample axis"],
 ) -> Float[np.ndarray, "sample axis"]:
-    """Return forces with NaN in the place of saturated samples and their neighbours.
+    """Forces with NaN in the place of saturated samples and their neighbours.
 
     Of samples near the end of the range those would remain that noise has made smaller.
     """
@@ -87,7 +87,7 @@ def _at_the_end(
     is_rest: Bool[np.ndarray, " sample"],
     least: int,
 ) -> Bool[np.ndarray, " sample"]:
-    """Return where one channel is at the upper end of its range."""
+    """True where one channel is at the upper end of its range."""
     out = np.zeros(column.shape, dtype=bool)
     low, high = np.quantile(column, [_SPIKES, 1 - _SPIKES])
     # A channel that moves for less time than spikes do has no other range.
@@ -99,22 +99,22 @@ def _at_the_end(
         end = max((float(column[a:b].max()) for a, b in flat), default=0.0)
         if abs(end) < _ZERO * span or np.mean(column > end + room) > _SPIKES:
             continue
-        found = np.zeros_like(out)
+        is_end = np.zeros_like(out)
         for start, stop in _runs(np.abs(column - end) <= room):
             jump = steps[max(start - 1, 0) : stop].max(initial=0.0)
             is_steep = jump >= _STEEP * max(room, resolution)
             is_cut = not is_rest[start : stop - 1].all()
-            found[start:stop] = stop - start >= least and is_steep and is_cut
+            is_end[start:stop] = stop - start >= least and is_steep and is_cut
         # Three values that are nearly equal happen by chance.
-        if found.any() and (
-            room == 0 or np.count_nonzero(found) >= max(_FEW, _RARE * found.size)
+        if is_end.any() and (
+            room == 0 or np.count_nonzero(is_end) >= max(_FEW, _RARE * is_end.size)
         ):
             # Single samples at an end that is known, too.
-            out |= found | (column >= end - room)
+            out |= is_end | (column >= end - room)
     return out
 
 
 def _runs(is_inside: Bool[np.ndarray, " sample"]) -> list[tuple[int, int]]:
-    """Return first index and index after the last of each run of True."""
+    """First index and index after the last of each run of True."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], is_inside.astype(int), [0]])))
     return [(int(start), int(stop)) for start, stop in edges.reshape(-1, 2)]

@@ -1,17 +1,18 @@
 """The spindle's angle from the pulses of a tacho."""
 
-from typing import NamedTuple
+import dataclasses
 
 import numpy as np
 from jaxtyping import Float
 
 
-class Pulses(NamedTuple):
+@dataclasses.dataclass(frozen=True)
+class Pulses:
     """Pulses of a tacho.
 
     Attributes:
-        instants: When they come [s], increasing, shape (pulse,).
-        numbers: Which they are, lost ones counted, shape (pulse,).
+        instants: Instants [s], increasing, shape (pulse,).
+        numbers: Their numbers, lost pulses counted, shape (pulse,).
     """
 
     instants: Float[np.ndarray, " pulse"]
@@ -21,7 +22,7 @@ class Pulses(NamedTuple):
     def of_signal(
         cls, time: Float[np.ndarray, " sample"], signal: Float[np.ndarray, " sample"]
     ) -> "Pulses":
-        """Return the pulses of a signal; see `Record.angle_from_tacho`.
+        """Pulses of a signal; see `Record.angle_from_tacho`.
 
         Args:
             time: [s], shape (sample,).
@@ -52,7 +53,7 @@ class Pulses(NamedTuple):
         return cls(pulses, np.concatenate([[0.0], np.cumsum(counts)]))
 
     def smoothed(self, width: int) -> "Pulses":
-        """Return all pulses, lost ones too, at smooth instants.
+        """All pulses, lost ones too, at smooth instants.
 
         Args:
             width: Pulses through which a parabola is laid; up to three change nothing.
@@ -72,7 +73,7 @@ class Pulses(NamedTuple):
     def passed(
         self, time: Float[np.ndarray, " sample"]
     ) -> Float[np.ndarray, " sample"]:
-        """Return how many pulses have passed since the first, in parts too.
+        """Number of pulses since the first, in parts too, shape (sample,).
 
         Args:
             time: [s], shape (sample,); outside the pulses the last speed goes on.

@@ -13,7 +13,7 @@ def harmonics(
     spindle_speed: float,
     count: int,
 ) -> Complex[np.ndarray, "harmonic axis"]:
-    """Return the Fourier coefficients of forces, by least squares.
+    """Fourier coefficients of forces, by least squares.
 
         force(t) = c_0 + 2 Re sum_k c_k exp(i k omega t),   k = 1 ... count
 
@@ -67,7 +67,7 @@ def refine_spindle_speed(
     *,
     flute_count: int = 1,
 ) -> float:
-    """Return the speed at which the forces repeat, near a nominal one [rad/s].
+    """Speed at which the forces repeat, near a nominal one [rad/s].
 
     The phase of the strongest multiple of the tooth-passing frequency is compared
     between the two halves of ever longer parts of the record, from eight turns on. A

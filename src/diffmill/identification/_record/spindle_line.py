@@ -1,4 +1,4 @@
-"""A line at the spindle's frequency in what a fit leaves: run-out or uneven teeth.
+"""Line at the spindle's frequency in the residual: run-out or uneven teeth.
 
 Forces of teeth that are all alike repeat with the teeth and have no such line.
 """
@@ -25,7 +25,7 @@ def check_spindle_line(
     revolution: float,
     force_rms: float,
 ) -> tuple[Diagnosis, ...]:
-    """Return the line at the spindle's frequency, if it stands out of the residual.
+    """Line at the spindle's frequency, if it stands out of the residual.
 
         c(f) = 2 / n sum_i r(t_i) exp(-2 pi i f t_i)   over whole revolutions
 
@@ -78,7 +78,7 @@ def _amplitudes(
     is_known: Bool[np.ndarray, "row 3"],
     frequencies: Float[np.ndarray, " frequency"],
 ) -> Complex[np.ndarray, "frequency 3"]:
-    """Return complex amplitudes at some frequencies [N]; 0 where nothing is known.
+    """Complex amplitudes at some frequencies [N]; 0 where nothing is known.
 
     Args:
         time: Instants [s], shape (row,).

@@ -15,14 +15,14 @@ from typing import NamedTuple
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 # Probability that any right measurement of a table is called wrong.
 _FALSE_ALARM = 0.01
 # A gross error is at least this share of what was measured or is predicted.
 _GROSS = 0.15
-# Starts of the trimmed fit, and how many of them are followed to their end.
-_STARTS, _FOLLOWED = 300, 8
+# Starts of the trimmed fit, and the number of them that are refined.
+_STARTS, _REFINED_STARTS = 300, 8
 # Singular values below this share of the largest are zero, after scaling the columns.
 _RANK = 1e-9
 # Weights of a relative scatter count no group as smaller than this share of the median.
@@ -61,7 +61,7 @@ def nonnegative(
     b: Float[np.ndarray, " row"],
     is_free: Bool[np.ndarray, " unknown"],
 ) -> Float[np.ndarray, " unknown"]:
-    """Return x that minimises |A x - b|, non-negative unless free.
+    """Solution x that minimises |A x - b|, non-negative unless free.
 
     Args:
         A: Matrix, shape (row, unknown); not a number in a row means not measured.
@@ -85,24 +85,17 @@ def nonnegative(
     return result / scale
 
 
-class InverseInformation(NamedTuple):
-    """Inverse of A^T A.
-
-    Attributes:
-        inverse: Shape (unknown, unknown), with infinity on the diagonal of unknowns
-            that A does not fix.
-        rank: Number of independent columns of A.
-    """
-
-    inverse: Float[np.ndarray, "unknown unknown"]
-    rank: int
-
-
-def inverse_information(A: Float[np.ndarray, "row unknown"]) -> InverseInformation:
-    """Return (A^T A)^-1 and the rank of A.
+def inverse_information(
+    A: Float[np.ndarray, "row unknown"],
+) -> tuple[Float[np.ndarray, "unknown unknown"], int]:
+    """Inverse (A^T A)^-1 and the rank of A.
 
     Args:
         A: Matrix, shape (row, unknown).
+
+    Returns:
+        The inverse, with infinity on the diagonal of unknowns that A does not fix, and
+        the number of independent columns.
     """
     scale = np.linalg.norm(A, axis=0)
     is_seen = scale > 0
@@ -120,7 +113,7 @@ def inverse_information(A: Float[np.ndarray, "row unknown"]) -> InverseInformati
     np.fill_diagonal(
         inverse, np.where(lost | ~is_seen, np.inf, np.diagonal(inverse).copy())
     )
-    return InverseInformation(inverse, int(is_kept.sum()))
+    return inverse, int(is_kept.sum())
 
 
 def fit_groups(
@@ -164,7 +157,7 @@ def fit_groups(
 
 
 def _log_likelihood(fit: GroupFit, chosen: Bool[np.ndarray, " group"]) -> float:
-    """Return the likelihood of the residuals of some groups, best scale."""
+    """Log likelihood of the residuals of some groups, at the best scale."""
     rows = fit.residual[chosen] * fit.weights[chosen, None]
     is_known = np.isfinite(rows)
     count = int(is_known.sum())
@@ -183,20 +176,20 @@ def _robust(
     """Fit with given weights of the groups."""
     A = columns * weights[:, None, None]
     b = values * weights[:, None]
-    kept = _not_gross(A, b, is_free, trimmed_start(A, b, is_free))
+    is_right = _not_gross(A, b, is_free, trimmed_start(A, b, is_free))
     for _ in range(10):
-        agreed = _agreeing(A, b, is_free, kept)
+        agreed = _agreeing(A, b, is_free, is_right)
         # More than half cannot be wrong: then nothing is known.
-        if agreed.sum() < len(b) // 2 or np.array_equal(agreed, kept):
+        if agreed.sum() < len(b) // 2 or np.array_equal(agreed, is_right):
             break
-        kept = agreed
-    found = _solve(A[kept], b[kept], is_free)
+        is_right = agreed
+    estimate = _solve(A[is_right], b[is_right], is_free)
     return GroupFit(
-        found.x,
-        found.covariance,
-        values - columns @ found.x,
-        ~kept,
-        found.spread,
+        estimate.x,
+        estimate.covariance,
+        values - columns @ estimate.x,
+        ~is_right,
+        estimate.spread,
         weights,
         noise,
     )
@@ -211,31 +204,24 @@ class _Estimate(NamedTuple):
 
 
 def _solve(A: Columns, b: Values, is_free: Bool[np.ndarray, " unknown"]) -> _Estimate:
-    """Return the non-negative least-squares solution of groups."""
+    """Non-negative least-squares solution of groups."""
     rows, right = A.reshape(-1, A.shape[2]), b.reshape(-1)
     is_known = np.isfinite(right)
     rows, right = rows[is_known], right[is_known]
     x = nonnegative(rows, right, is_free)
-    information = inverse_information(rows)
+    inverse, rank = inverse_information(rows)
     # Unknowns at their bound take no degree of freedom.
-    used = min(information.rank, int(np.sum((x > 0) | is_free)))
+    used = min(rank, int(np.sum((x > 0) | is_free)))
     freedom = len(right) - used
     square = float(np.sum((right - rows @ x) ** 2))
     spread = math.sqrt(square / freedom) if freedom > 0 else math.inf
     with np.errstate(invalid="ignore"):
-        return _Estimate(x, information.inverse * spread**2, spread)
+        return _Estimate(x, inverse * spread**2, spread)
 
 
 def _group_squares(A: Columns, b: Values, x: Float[np.ndarray, " unknown"]):
-    """Return the mean squared residual of every group, shape (group,)."""
+    """Mean squared residual of every group, shape (group,)."""
     return np.nanmean((b - A @ x) ** 2, axis=1)
-
-
-class _Half(NamedTuple):
-    """Groups that agree best with a fit, and the sum of their squares."""
-
-    square: float
-    groups: Int[np.ndarray, " half"]
 
 
 def trimmed_start(
@@ -244,7 +230,7 @@ def trimmed_start(
     is_free: Bool[np.ndarray, " unknown"],
     starts: int = _STARTS,
 ) -> Bool[np.ndarray, " group"]:
-    """Return the half of the groups that agree best with one another.
+    """Half of the groups that agree best with one another.
 
     Args:
         A: Columns, shape (group, row, unknown).
@@ -262,39 +248,33 @@ def trimmed_start(
     if half == count:
         return everything
 
-    def chosen(x: Float[np.ndarray, " unknown"]) -> _Half:
-        square = _group_squares(A, b, x)
-        best = np.argsort(square, kind="stable")[:half]
-        return _Half(float(np.sum(square[best])), best)
-
-    def fitted(groups: np.ndarray) -> Float[np.ndarray, " unknown"]:
+    def best_half(groups: np.ndarray) -> tuple[float, np.ndarray]:
+        # Groups that agree best with a fit to some, and the sum of their squares.
         rows = A[groups].reshape(-1, width)
-        return nonnegative(rows, b[groups].reshape(-1), is_free)
+        square = _group_squares(A, b, nonnegative(rows, b[groups].reshape(-1), is_free))
+        best = np.argsort(square, kind="stable")[:half]
+        return float(np.sum(square[best])), best
 
-    found = [chosen(fitted(groups)) for groups in _subsets(count, size, starts)]
+    if math.comb(count, size) <= starts:
+        subsets = [np.array(s) for s in itertools.combinations(range(count), size)]
+    else:
+        draw = np.random.default_rng(0)
+        subsets = [draw.choice(count, size, replace=False) for _ in range(starts)]
     # The fit to all is a start like any other: it wins where nothing is wrong.
-    found.append(chosen(fitted(np.arange(count))))
-    found.sort(key=lambda half: half.square)
-    best = found[0]
-    for cost, groups in found[:_FOLLOWED]:
+    halves = [best_half(groups) for groups in (*subsets, np.arange(count))]
+    halves.sort(key=lambda one: one[0])
+    least, agreed = halves[0]
+    for cost, groups in halves[:_REFINED_STARTS]:
         for _ in range(20):
-            lower, groups = chosen(fitted(groups))
+            lower, groups = best_half(groups)
             if not lower < cost:
                 break
             cost = lower
-        if cost < best.square:
-            best = _Half(cost, groups)
-    kept = np.zeros(count, bool)
-    kept[best.groups] = True
-    return kept
-
-
-def _subsets(count: int, size: int, most: int) -> list[np.ndarray]:
-    """Return all subsets of a size, or as many random ones as are looked at."""
-    if math.comb(count, size) <= most:
-        return [np.array(s) for s in itertools.combinations(range(count), size)]
-    draw = np.random.default_rng(0)
-    return [draw.choice(count, size, replace=False) for _ in range(most)]
+        if cost < least:
+            least, agreed = cost, groups
+    is_agreed = np.zeros(count, bool)
+    is_agreed[agreed] = True
+    return is_agreed
 
 
 def _not_gross(
@@ -303,7 +283,7 @@ def _not_gross(
     is_free: Bool[np.ndarray, " unknown"],
     half: Bool[np.ndarray, " group"],
 ) -> Bool[np.ndarray, " group"]:
-    """Return which groups scatter no more than the median one makes likely."""
+    """True for groups that scatter no more than the median one makes likely."""
     from scipy.stats import chi2
 
     square = _group_squares(A, b, _solve(A[half], b[half], is_free).x)
@@ -320,20 +300,22 @@ def _agreeing(
     A: Columns,
     b: Values,
     is_free: Bool[np.ndarray, " unknown"],
-    kept: Bool[np.ndarray, " group"],
+    is_right: Bool[np.ndarray, " group"],
 ) -> Bool[np.ndarray, " group"]:
-    """Return which groups agree with what the others that are kept predict."""
+    """True for groups that agree with the prediction by the other right ones."""
     from scipy.stats import f as f_distribution
 
     count = len(b)
     agrees = np.ones(count, bool)
-    full = _solve(A[kept], b[kept], is_free)
+    full = _solve(A[is_right], b[is_right], is_free)
     for i in range(count):
-        others = kept.copy()
+        others = is_right.copy()
         others[i] = False
         # With hundreds of groups one more or less changes nothing.
         x, covariance, spread = (
-            _solve(A[others], b[others], is_free) if kept[i] and count < 300 else full
+            _solve(A[others], b[others], is_free)
+            if is_right[i] and count < 300
+            else full
         )
         seen = np.isfinite(b[i])
         freedom = int(np.isfinite(b[others]).sum()) - A.shape[2]

@@ -1,4 +1,4 @@
-"""Quadratic model of what a simulation with few unknowns leaves of a record.
+"""Quadratic model of the residual of a record, by a simulation with few unknowns.
 
 Parameters are logarithms, so that they keep their sign; robust weights come from the
 scatter of every channel. Each logarithm has a wide normal prior around its start, 0: it
@@ -28,10 +28,10 @@ def record_model(
     is_log: Bool[np.ndarray, " unknown"],
     loss: Loss,
 ) -> QuadraticModel:
-    """Return the model of the robust cost, weighed by the scatter at a point.
+    """Quadratic model of the robust cost, weighed by the scatter at a point.
 
     Args:
-        rows: The equations there, their `force` being what is left of the record.
+        rows: The equations there, their `force` being the residual of the record.
         x: The point, shape (unknown,).
         start: Middle of the priors, shape (unknown,).
         is_log: Which unknowns are logarithms, shape (unknown,).
@@ -39,24 +39,20 @@ def record_model(
     """
     prior = np.where(is_log, _PRIOR**-2, 0.0)
     state = weigh(rows, np.zeros(len(x)), loss)
-    normal = normal_equations(rows, state.weights)
+    G, g = normal_equations(rows, state.weights)
 
     def cost(there: Float[np.ndarray, " unknown"], at: list[Rows]) -> float:
         off = [r.force / s[None] for r, s in zip(at, state.spread, strict=True)]
         left = sum(robust_cost(r, loss) for r in off)
         return 0.5 * (left + float(prior @ (there - start) ** 2))
 
-    return QuadraticModel(
-        cost,
-        prior * (x - start) - normal.right,
-        normal.matrix + np.diag(prior),
-    )
+    return QuadraticModel(cost, prior * (x - start) - g, G + np.diag(prior))
 
 
 def record_solver(
     is_log: Bool[np.ndarray, " unknown"], max_steps: int
 ) -> LevenbergMarquardt:
-    """Return the settings that suit a record."""
+    """Solver with settings that suit a record."""
     return LevenbergMarquardt(
         max_steps=max_steps,
         max_step=np.where(is_log, _LONGEST, np.inf),

@@ -10,8 +10,8 @@ are not made smaller than those of independent samples.
 """
 
 import math
-from collections.abc import Sequence
-from typing import Literal, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Literal
 
 import equinox as eqx
 import numpy as np
@@ -63,7 +63,7 @@ class LinearFit(eqx.Module):
 
 
 def solve(rows: Sequence[Rows], weights: Sequence[np.ndarray]) -> np.ndarray:
-    """Return the weighted least-squares solution.
+    """Weighted least-squares solution.
 
     Args:
         rows: Equations of each record.
@@ -72,21 +72,14 @@ def solve(rows: Sequence[Rows], weights: Sequence[np.ndarray]) -> np.ndarray:
     Returns:
         Unknowns, shape (unknown,); 0 for one that does not appear.
     """
-    normal = normal_equations(rows, weights)
-    return solve_normal(normal.matrix, normal.right)
-
-
-class NormalEquations(NamedTuple):
-    """Normal matrix G, shape (unknown, unknown), and right-hand side g, (unknown,)."""
-
-    matrix: Float[np.ndarray, "unknown unknown"]
-    right: Float[np.ndarray, " unknown"]
+    G, g = normal_equations(rows, weights)
+    return solve_normal(G, g)
 
 
 def normal_equations(
     rows: Sequence[Rows], weights: Sequence[np.ndarray]
-) -> NormalEquations:
-    """Return the normal equations of all records.
+) -> tuple[Float[np.ndarray, "unknown unknown"], Float[np.ndarray, " unknown"]]:
+    """Normal matrix G and right-hand side g of all records: G x = g.
 
     Args:
         rows: Equations of each record.
@@ -98,13 +91,13 @@ def normal_equations(
         weighted = flat * weight.reshape(-1, 1)
         G = G + weighted.T @ flat
         g = g + weighted.T @ np.nan_to_num(one.force).reshape(-1)
-    return NormalEquations(np.asarray(G), np.asarray(g))
+    return np.asarray(G), np.asarray(g)
 
 
 def solve_normal(
     G: Float[np.ndarray, "unknown unknown"], g: Float[np.ndarray, " unknown"]
 ) -> Float[np.ndarray, " unknown"]:
-    """Return x of G x = g after scaling, shortest where G is singular.
+    """Solution x of G x = g after scaling, shortest where G is singular.
 
     Args:
         G: Normal matrix, shape (unknown, unknown).
@@ -113,27 +106,21 @@ def solve_normal(
     Returns:
         x, shape (unknown,).
     """
-    return inverse_normal(G).inverse @ g
+    return inverse_normal(G)[0] @ g
 
 
-class NormalInverse(NamedTuple):
-    """Inverse of a normal matrix.
-
-    Attributes:
-        inverse: Where the matrix is regular, shape (unknown, unknown).
-        is_fixed: Which unknowns have no part in its null space, shape (unknown,).
-    """
-
-    inverse: Float[np.ndarray, "unknown unknown"]
-    is_fixed: Bool[np.ndarray, " unknown"]
-
-
-def inverse_normal(G: Float[np.ndarray, "unknown unknown"]) -> NormalInverse:
-    """Return the inverse of a normal matrix, and which unknowns it fixes.
+def inverse_normal(
+    G: Float[np.ndarray, "unknown unknown"],
+) -> tuple[Float[np.ndarray, "unknown unknown"], Bool[np.ndarray, " unknown"]]:
+    """Inverse of a normal matrix, and the unknowns that it fixes.
 
     Args:
         G: Normal matrix, symmetric and positive semidefinite, shape
             (unknown, unknown).
+
+    Returns:
+        The inverse where G is regular, shape (unknown, unknown); and true for unknowns
+        that have no part in its null space, shape (unknown,).
     """
     scale = np.sqrt(np.maximum(np.diagonal(G), 0.0))
     is_seen = scale > 0
@@ -142,7 +129,7 @@ def inverse_normal(G: Float[np.ndarray, "unknown unknown"]) -> NormalInverse:
     keep = values > _REGULAR * max(float(values[-1]), 1e-300)
     inverse = (V * np.where(keep, 1.0 / np.where(keep, values, 1.0), 0.0)[None]) @ V.T
     is_fixed = is_seen & (np.sum(V[:, ~keep] ** 2, axis=1) < 1e-6)
-    return NormalInverse(inverse / scale[:, None] / scale[None], is_fixed)
+    return inverse / scale[:, None] / scale[None], is_fixed
 
 
 def fit_rows(rows: Sequence[Rows], loss: Loss = "huber") -> LinearFit:
@@ -175,7 +162,7 @@ def fit_rows(rows: Sequence[Rows], loss: Loss = "huber") -> LinearFit:
 def weigh(
     rows: Sequence[Rows], x: Float[np.ndarray, " unknown"], loss: str
 ) -> LinearFit:
-    """Return what some unknowns leave of the records, and the weights that follow.
+    """Residuals of the records at some unknowns, and the weights that follow.
 
     Args:
         rows: Equations of each record.
@@ -198,7 +185,7 @@ def weigh(
 
 
 def robust_weight(r: np.ndarray, loss: str) -> np.ndarray:
-    """Return psi(r) / r of a loss for residuals in standard deviations.
+    """Weights psi(r) / r of a loss for residuals in standard deviations.
 
     Args:
         r: Residuals, any shape; NaN gives 0.
@@ -208,15 +195,28 @@ def robust_weight(r: np.ndarray, loss: str) -> np.ndarray:
         Weights from 0 to 1, same shape.
     """
     size = np.abs(np.nan_to_num(r, nan=math.inf))
-    if loss == "squares":
-        return np.isfinite(size).astype(np.float64)
-    if loss == "huber":
-        return _HUBER / np.maximum(size, _HUBER)
-    return np.where(size < _TUKEY, (1 - np.minimum(size / _TUKEY, 1) ** 2) ** 2, 0.0)
+    return _WEIGHTS[loss](size)
+
+
+# psi(r) / r, and psi'(r): how much a sample resists a change of the fit.
+_WEIGHTS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+    "squares": lambda r: np.isfinite(r).astype(np.float64),
+    "huber": lambda r: _HUBER / np.maximum(r, _HUBER),
+    "tukey": lambda r: np.where(
+        r < _TUKEY, (1 - np.minimum(r / _TUKEY, 1) ** 2) ** 2, 0.0
+    ),
+}
+_SLOPES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+    "squares": lambda r: np.isfinite(r).astype(np.float64),
+    "huber": lambda r: (r <= _HUBER).astype(np.float64),
+    "tukey": lambda r: (
+        (1 - np.minimum(r / _TUKEY, 1) ** 2) * (1 - 5 * np.minimum(r / _TUKEY, 1) ** 2)
+    ),
+}
 
 
 def robust_cost(r: np.ndarray, loss: Loss) -> float:
-    """Return twice the sum of the loss of residuals in standard deviations.
+    """Twice the sum of the loss of residuals in standard deviations.
 
     Args:
         r: Residuals, any shape; NaN counts as 0.
@@ -233,7 +233,7 @@ def robust_cost(r: np.ndarray, loss: Loss) -> float:
 def correlation_of(
     C: Float[np.ndarray, "unknown unknown"],
 ) -> Float[np.ndarray, "unknown unknown"]:
-    """Return the correlation of a covariance; NaN where it is infinite.
+    """Correlation of a covariance; NaN where it is infinite.
 
     Args:
         C: Covariance, shape (unknown, unknown).
@@ -246,19 +246,8 @@ def correlation_of(
     return np.where(np.isfinite(C), C, np.nan) / safe[:, None] / safe[None]
 
 
-def _slope(r: np.ndarray, loss: str) -> np.ndarray:
-    """Return psi'(r): how much a sample resists a change of the fit."""
-    size = np.abs(np.nan_to_num(r, nan=math.inf))
-    if loss == "squares":
-        return np.isfinite(size).astype(np.float64)
-    if loss == "huber":
-        return (size <= _HUBER).astype(np.float64)
-    u = np.minimum(size / _TUKEY, 1) ** 2
-    return (1 - u) * (1 - 5 * u)
-
-
 def _spread(residual: np.ndarray, force: np.ndarray) -> np.ndarray:
-    """Return the robust standard deviation of each force, shape (3,)."""
+    """Robust standard deviation of each force [N], shape (3,)."""
     known = np.isfinite(force)
     result = np.zeros(3)
     for axis in np.flatnonzero(known.any(axis=0)):
@@ -275,7 +264,7 @@ def _spread(residual: np.ndarray, force: np.ndarray) -> np.ndarray:
 def covariance(
     rows: Sequence[Rows], fit: LinearFit, loss: Loss
 ) -> Float[np.ndarray, "unknown unknown"]:
-    """Return the covariance of the unknowns; infinite where one is not fixed.
+    """Covariance of the unknowns; infinite where one is not fixed.
 
     Args:
         rows: Equations of each record, linearised where they are not linear.
@@ -290,7 +279,8 @@ def covariance(
     for one, weight, residual, s in zip(
         rows, fit.weights, fit.residual, fit.spread, strict=True
     ):
-        stiff = _slope(residual / s[None], loss) / s[None] ** 2
+        size = np.abs(np.nan_to_num(residual / s[None], nan=math.inf))
+        stiff = _SLOPES[loss](size) / s[None] ** 2
         stiff = np.where(np.isfinite(residual), stiff, 0.0)
         flat = one.columns.reshape(-1, width)
         bread += (flat * stiff.reshape(-1, 1)).T @ flat
@@ -309,7 +299,7 @@ def covariance(
 
 
 def _bartlett(score: np.ndarray, lag: int) -> np.ndarray:
-    """Return the sum of score products with weights 1 - |lag difference| / lag.
+    """Sum of score products with weights 1 - |lag difference| / lag.
 
     Sums over all windows of the length of the lag give these weights at once.
     """

@@ -4,13 +4,13 @@ Three mistakes are looked for: a displacement in other axes than those of the ro
 load in others, and both in the same axes, but not in those of the robot.
 """
 
-import itertools
-from collections.abc import Callable, Iterator
-from typing import NamedTuple
+import dataclasses
+from collections.abc import Callable
 
 import numpy as np
 from jaxtyping import Float
 
+from .._alignment.axis_assignment import signed_permutations
 from .._alignment.axis_proposal import axes_names
 from .._statistics.grouped_nnls import Columns, Values, nonnegative, trimmed_start
 
@@ -25,13 +25,14 @@ Turns = Float[np.ndarray, "pose 3 3"]
 Loads = Float[np.ndarray, "pose 6"]
 
 
-class AxesCheck(NamedTuple):
+@dataclasses.dataclass(frozen=True)
+class AxesCheck:
     """Result of the check of a table's axes.
 
     Attributes:
-        better: What is to be read how, such as "the displacement read as (x, -y, z)";
-            None if nothing is much better.
-        is_possible: Whether enough rows have all components to tell.
+        better: Reading that would suit much better, such as "the displacement read as
+            (x, -y, z)"; None if there is none.
+        is_possible: Whether enough rows have all components for a check.
     """
 
     better: str | None
@@ -45,7 +46,7 @@ def better_axes(
     explained: float,
     load_frame: Turns | None = None,
 ) -> AxesCheck:
-    """Return an assignment of the axes that suits much better, if there is one.
+    """Assignment of the axes that suits much better, if there is one.
 
     Args:
         columns_of: Returns displacement per compliance for loads [N, N m], shape
@@ -66,8 +67,10 @@ def better_axes(
     columns, seen = columns_of(load)[whole], moved[whole]
     if seen.size <= columns.shape[2]:
         return AxesCheck(None, False)
-    best, found = _cost(columns, seen) / _BETTER_AXES, None
-    for T in _turns():
+    best, better = _cost(columns, seen) / _BETTER_AXES, None
+    for T in signed_permutations():
+        if np.array_equal(T, np.eye(3)):
+            continue
         # Moments and rotations of mirrored axes change their sign once more.
         both = np.linalg.det(T) * T
         other = columns_of(_turned(load, T, both, load_frame))[whole]
@@ -80,30 +83,21 @@ def better_axes(
         for one, values, what in cases:
             cost = _cost(one, values)
             if cost < best:
-                best, found = cost, f"{what} read as ({', '.join(axes_names(T))})"
-    return AxesCheck(found, True)
+                best, better = cost, f"{what} read as ({', '.join(axes_names(T))})"
+    return AxesCheck(better, True)
 
 
 def _cost(columns: Columns, moved: Values) -> float:
-    """Return the squared residual of the poses that agree best."""
+    """Squared residual of the poses that agree best."""
     is_free = np.zeros(columns.shape[2], bool)
-    kept = trimmed_start(columns, moved, is_free, starts=_STARTS)
-    rows = columns[kept].reshape(-1, columns.shape[2])
-    right = moved[kept].reshape(-1)
+    agreed = trimmed_start(columns, moved, is_free, starts=_STARTS)
+    rows = columns[agreed].reshape(-1, columns.shape[2])
+    right = moved[agreed].reshape(-1)
     return float(np.sum((right - rows @ nonnegative(rows, right, is_free)) ** 2))
 
 
-def _turns() -> Iterator[Turn]:
-    """Return all assignments of three axes, but the plain one."""
-    for order in itertools.permutations(range(3)):
-        for signs in itertools.product((1.0, -1.0), repeat=3):
-            T = np.eye(3)[list(order)] * np.array(signs)[:, None]
-            if not np.array_equal(T, np.eye(3)):
-                yield T
-
-
 def _turned(values: Values, linear: Turn, angular: Turn, frame: Turns | None) -> Values:
-    """Return values with the axes of their frame turned, linear parts first."""
+    """Values with the axes of their frame turned, linear parts first."""
     parts = values.reshape(len(values), -1, 3)
     if frame is not None:
         parts = np.einsum("pji,pkj->pki", frame, parts)

@@ -1,6 +1,6 @@
 """Cross-validation of joint stiffness on load tests left out of the fit."""
 
-from typing import NamedTuple
+import dataclasses
 
 import numpy as np
 from jaxtyping import Float
@@ -17,7 +17,8 @@ from .joint_stiffness import (
 )
 
 
-class LoadCheck(NamedTuple):
+@dataclasses.dataclass(frozen=True)
+class LoadCheck:
     """Load tests predicted by the others.
 
     Attributes:

@@ -1,7 +1,5 @@
 """Design of further load tests that would show a joint's stiffness."""
 
-from typing import NamedTuple
-
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -49,7 +47,7 @@ def suggest_load_tests(
     *,
     count: int = 3,
 ) -> LoadTests:
-    """Return load tests that would fix the joints that a table knows badly.
+    """Load tests that would fix the joints that a table knows badly.
 
     Random poses within the joints' limits, each with the largest force of the table
     along the axes of the base, are added one by one; each is the one that lowers the
@@ -84,57 +82,46 @@ def suggest_load_tests(
             f"not: {' '.join(fit.notes)}"
         )
     nowhere = np.zeros((len(fit.residual), 3))
-    tests = load_tables(robot, q, wrench, nowhere)
+    angles, load, _ = load_tables(robot, q, wrench, nowhere)
     model = 1.0 / np.asarray(robot.joint_stiffness, np.float64)
     c = np.where(fit.identifiable, fit.compliance, model)
     is_sought = fit.is_rough
-    candidates = _candidates(robot, float(np.abs(tests.load[:, :3]).max()))
-    poses, forces = candidates.poses, candidates.forces
+    poses, forces = _candidates(robot, float(np.abs(load[:, :3]).max()))
     # In units of the expected compliances.
-    seen = deflection_columns(robot, tests.joint_positions, tests.load)[:, :3] * c
+    seen = deflection_columns(robot, angles, load)[:, :3] * c
     offered = deflection_columns(robot, poses, forces)[:, :3] * c
     reach = np.linalg.norm(offered, axis=1).max(axis=0)
     is_lost = is_sought & ~(reach > _SEEN * reach.max())
-    is_kept, is_known = ~is_lost, np.isfinite(fit.spread)
+    is_seen, is_known = ~is_lost, np.isfinite(fit.spread)
     usual = float(np.sqrt(np.mean(np.sum(seen, axis=2) ** 2)))
     spread = max(fit.spread if is_known else _SCATTER * usual, 1e-12)
     # Rows in units of their scatter.
     seen, offered = seen / spread, offered / spread
     chosen: list[int] = []
-    rows = seen.reshape(-1, seen.shape[2])[:, is_kept]
+    rows = seen.reshape(-1, seen.shape[2])[:, is_seen]
     # A weak prior keeps what no row shows finite: 10 times the compliance expected.
-    information = rows.T @ rows + 0.01 * np.eye(int(is_kept.sum()))
-    parts = offered[:, :, is_kept]
+    information = rows.T @ rows + 0.01 * np.eye(int(is_seen.sum()))
+    parts = offered[:, :, is_seen]
     gains = np.einsum("pci,pcj->pij", parts, parts)
     for _ in range(count):
         inverse = np.linalg.inv(information[None] + gains)
-        cost = np.einsum("pii,i->p", inverse, is_sought[is_kept].astype(float))
+        cost = np.einsum("pii,i->p", inverse, is_sought[is_seen].astype(float))
         cost[chosen] = np.inf
         chosen.append(int(np.argmin(cost)))
         information = information + gains[chosen[-1]]
     added = offered[chosen].reshape(-1, seen.shape[2])
     rows = np.vstack([seen.reshape(-1, seen.shape[2]), added])
-    inverse = inverse_information(rows).inverse
+    inverse, _ = inverse_information(rows)
     errors = np.sqrt(np.diagonal(inverse)) if is_known else np.full(len(c), np.nan)
     errors = np.where(is_lost, np.inf, errors)
     names = tuple(n for n, lost in zip(robot.joint_names, is_lost, strict=True) if lost)
     return LoadTests(poses[chosen], forces[chosen], errors, names)
 
 
-class _Candidates(NamedTuple):
-    """Load tests to choose from.
-
-    Attributes:
-        poses: Joint positions [rad or m], shape (test, joint).
-        forces: Loads at the tool [N, N m], shape (test, 6).
-    """
-
-    poses: Float[np.ndarray, "test joint"]
-    forces: Float[np.ndarray, "test 6"]
-
-
-def _candidates(robot: Robot, force: float) -> _Candidates:
-    """Return random poses within the limits, each with three forces."""
+def _candidates(
+    robot: Robot, force: float
+) -> tuple[Float[np.ndarray, "test joint"], Float[np.ndarray, "test 6"]]:
+    """Random poses within the limits [rad or m], each with three forces [N, N m]."""
     lower, upper = (
         np.asarray(jnp.clip(limit, -_RANGE, _RANGE), np.float64)
         for limit in (robot.joint_lower, robot.joint_upper)
@@ -143,4 +130,4 @@ def _candidates(robot: Robot, force: float) -> _Candidates:
     q = draw.uniform(lower, upper, (_POSES, robot.joint_count))
     load = np.zeros((_POSES, 3, 6))
     load[:, :, :3] = force * np.eye(3)[None]
-    return _Candidates(np.repeat(q, 3, axis=0), load.reshape(-1, 6))
+    return np.repeat(q, 3, axis=0), load.reshape(-1, 6)

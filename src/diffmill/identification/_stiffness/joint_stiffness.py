@@ -93,7 +93,7 @@ class JointStiffnessFit(eqx.Module):
 
     @property
     def is_rough(self) -> Bool[np.ndarray, " joint"]:
-        """Which joints are known to no better than a tenth, or not at all."""
+        """True for joints known to no better than a tenth, or not at all."""
         rough = self.compliance_errors > _ROUGH * self.compliance
         return ~self.identifiable | rough
 
@@ -148,7 +148,12 @@ def fit_joint_stiffness(
         raise ValueError(
             "Argument `displacement` must differ from zero in a row, but is zero."
         )
-    scale = _component_scale(moved)
+    # Rotations over their own size, as displacements are.
+    scale = np.ones(moved.shape[1])
+    if moved.shape[1] == 6:
+        linear, angular = np.nanmedian(np.abs(moved).reshape(-1, 2, 3), axis=(0, 2))
+        if linear > 0 and angular > 0:
+            scale[3:] = linear / angular
 
     def columns_of(load: Float[np.ndarray, "pose 6"]) -> np.ndarray:
         columns = deflection_columns(robot, angles, load, displacement_frame)
@@ -164,14 +169,16 @@ def fit_joint_stiffness(
     # Where too many rows contradict, all of them count.
     used = ~fit.is_outlier | _contradicts(fit)
     centred = moved - constant @ fit.x[robot.joint_count :]
-    explained = _explained(fit, centred, used)
+    square = float(np.nansum(centred[used] ** 2))
+    left = float(np.nansum(fit.residual[used] ** 2))
+    explained = 1.0 - left / max(square, 1e-300)
     axes = better_axes(columns_of, load, centred, explained, load_frame)
-    found = _Explained(columns[used], centred[used], explained, min_explained, axes)
-    return _report(robot, found, fit, scale, max_relative_error)
+    table = _Explained(columns[used], centred[used], explained, min_explained, axes)
+    return _report(robot, table, fit, scale, max_relative_error)
 
 
 class _Explained(NamedTuple):
-    """The rows that count, and how well springs suit them."""
+    """Rows that count, with the share of them that springs explain."""
 
     columns: Columns
     moved: Values
@@ -186,7 +193,7 @@ def deflection_columns(
     wrench: Float[np.ndarray, "pose 6"],
     frame: Turns | None = None,
 ) -> Float[np.ndarray, "pose 6 joint"]:
-    """Return how far a load moves the tool per unit compliance of each joint.
+    """Displacement of the tool under a load per unit compliance of each joint.
 
     Args:
         robot: The robot.
@@ -207,7 +214,7 @@ def deflection_columns(
 
 
 def constant_columns(moved: Values, frame: Turns | None) -> Columns:
-    """Return displacements in the axes of a frame per constant one in base.
+    """Displacements in the axes of a frame per constant one in base.
 
     Args:
         moved: The displacements [m, rad], shape (pose, component).
@@ -221,7 +228,7 @@ def constant_columns(moved: Values, frame: Turns | None) -> Columns:
 
 
 def _in_axes(columns: Columns, frame: Turns | None) -> Columns:
-    """Return columns in base, linear part first, in the axes of a frame."""
+    """Columns in base, linear part first, in the axes of a frame."""
     if frame is None:
         return columns
     parts = columns.reshape(len(columns), -1, 3, columns.shape[2])
@@ -235,24 +242,14 @@ def _jacobians(
     return jax.vmap(lambda row: jacobian(robot, row))(q)
 
 
-class LoadTables(NamedTuple):
-    """Static load tests.
-
-    Attributes:
-        joint_positions: [rad or m], shape (pose, joint).
-        load: On the tool [N, N m], shape (pose, 6).
-        displacement: [m, rad], shape (pose, 3) or (pose, 6).
-    """
-
-    joint_positions: Float[np.ndarray, "pose joint"]
-    load: Float[np.ndarray, "pose 6"]
-    displacement: Float[np.ndarray, "pose component"]
-
-
 def load_tables(
     robot: Robot, q: Table, wrench: Table, displacement: Table
-) -> LoadTables:
-    """Return the tables as arrays, the load with its moments.
+) -> tuple[
+    Float[np.ndarray, "pose joint"],
+    Float[np.ndarray, "pose 6"],
+    Float[np.ndarray, "pose component"],
+]:
+    """Joint positions, loads with their moments, and displacements as arrays.
 
     Args:
         robot: The robot.
@@ -289,44 +286,25 @@ def load_tables(
             "measured, but has none or an infinite one."
         )
     load = np.pad(load, ((0, 0), (0, 6 - load.shape[1])))
-    return LoadTables(angles, load, moved)
-
-
-def _component_scale(moved: Values) -> Float[np.ndarray, " component"]:
-    """Return what makes rotations comparable with displacements."""
-    scale = np.ones(moved.shape[1])
-    if moved.shape[1] == 6:
-        linear, angular = np.nanmedian(np.abs(moved).reshape(-1, 2, 3), axis=(0, 2))
-        if linear > 0 and angular > 0:
-            scale[3:] = linear / angular
-    return scale
-
-
-def _explained(
-    fit: GroupFit, centred: Values, used: Bool[np.ndarray, " pose"]
-) -> float:
-    """Return the share of the square that a fit explains of the rows that count."""
-    square = float(np.nansum(centred[used] ** 2))
-    left = float(np.nansum(fit.residual[used] ** 2))
-    return 1.0 - left / max(square, 1e-300)
+    return angles, load, moved
 
 
 def _contradicts(fit: GroupFit) -> bool:
-    """Tell whether too many rows contradict the others."""
+    """True if too many rows contradict the others."""
     return bool(fit.is_outlier.mean() > _OUTLIERS)
 
 
 def _report(
     robot: Robot,
-    found: _Explained,
+    table: _Explained,
     fit: GroupFit,
     scale: Float[np.ndarray, " component"],
     max_relative_error: float,
 ) -> JointStiffnessFit:
-    """Return the fit in words of stiffness, from the rows that count."""
+    """Fit as stiffness, from the rows that count."""
     from scipy.special import stdtrit
 
-    columns, moved, explained = found.columns, found.moved, found.share
+    columns, moved, explained = table.columns, table.moved, table.share
     count = robot.joint_count
     c = fit.x[:count]
     errors = np.sqrt(np.diagonal(fit.covariance)[:count])
@@ -334,7 +312,7 @@ def _report(
     too_many = _contradicts(fit)
     parts = np.nansum(columns * moved[..., None], axis=(0, 1))
     square = float(np.nansum(moved**2))
-    is_suited = explained >= found.least and found.axes.better is None
+    is_suited = explained >= table.least and table.axes.better is None
     is_consistent = is_suited and not too_many
     freedom = max(1, int(np.isfinite(moved).sum()) - len(fit.x))
     given, bounded = (stdtrit(freedom, 0.5 + 0.5 * p) for p in (_GIVEN, _BOUNDED))
@@ -363,18 +341,18 @@ def _report(
         noise=fit.noise,
         spread=fit.spread,
         joint_names=robot.joint_names,
-        notes=_notes(robot, found, fit, is_fixed),
+        notes=_notes(robot, table, fit, is_fixed),
     )
 
 
 def _notes(
     robot: Robot,
-    found: _Explained,
+    table: _Explained,
     fit: GroupFit,
     is_fixed: Bool[np.ndarray, " joint"],
 ) -> tuple[str, ...]:
-    """Say what the numbers alone do not."""
-    axes, explained, least = found.axes, found.share, found.least
+    """Sentences about doubts and about joints that are not identifiable."""
+    axes, explained, least = table.axes, table.share, table.least
     too_many = _contradicts(fit)
     notes = []
     if explained < least:

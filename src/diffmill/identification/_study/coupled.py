@@ -8,7 +8,7 @@ from jaxtyping import Float
 from ..._job import Job
 from .._coupled.fit_coupled import CoupledFit, fit_coupled
 from .._coupled.model import mean_over_period
-from .._record.channel import MeasuredChannel
+from .._record.record import MeasuredChannel
 from .study import OnProgress, StudyError, silent
 
 

@@ -8,7 +8,7 @@ from .._alignment.axis_proposal import AxesProposal, combine_axes_proposals
 from .._alignment.record_registration import RecordRegistration
 from .._force.cross_validation import CrossValidation, cross_validate
 from .._force.force_coefficients import ForceCoefficientFit, fit_force_coefficients
-from .._force.uncertainty import relative_uncertainty
+from .._force.identifiability import relative_uncertainty
 from .._record.diagnosis import Diagnosis
 from .records import ForceRecord, ForceSettings, diagnoses_of
 from .study import OnProgress, StudyError, silent

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ...robot import Robot
-from .._record.channel import MeasuredChannel
+from .._record.record import MeasuredChannel
 from .._stiffness.axis_check import Turns
 from .._stiffness.cross_validation import LoadCheck, check_load_tests
 from .._stiffness.experiment_design import LoadTests, suggest_load_tests

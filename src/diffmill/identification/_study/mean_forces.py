@@ -15,9 +15,9 @@ from .._force.mean_force import (
     fit_mean_forces,
     mean_force_matrices,
 )
-from .._record.channel import MeasuredChannel
 from .._record.channel_faults import check_coefficients
 from .._record.diagnosis import Diagnosis
+from .._record.record import MeasuredChannel
 from .records import ForceRecord, ForceSettings, diagnoses_of
 from .study import OnProgress, silent
 

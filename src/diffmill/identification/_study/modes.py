@@ -16,7 +16,7 @@ from .._modal.ring_down import (
     fit_ring_down,
     ring_down_frequencies,
 )
-from .._record.channel import MeasuredChannel
+from .._record.record import MeasuredChannel
 from .study import OnProgress, StudyError, silent
 
 # A response is doubted if modes explain a smaller share of it; another sign of its

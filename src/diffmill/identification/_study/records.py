@@ -11,9 +11,8 @@ from .._alignment.record_registration import (
     RecordRegistration,
 )
 from .._cut.straight_cut import StraightCut
-from .._record.channel import Tare
 from .._record.diagnosis import Diagnosis
-from .._record.record import Record
+from .._record.record import Record, Tare
 from .study import StudyError
 
 
