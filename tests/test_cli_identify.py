@@ -9,7 +9,8 @@ import pytest
 import scipy.io
 import xarray
 from slides_job import JOB, write_slides_job
-from slot_force import SPEED, K, slot_force
+from slot_force import SPEED, K, mean_lines, slot_force
+from vibrations import receptance, ring_down
 
 from diffmill import (
     config,
@@ -65,36 +66,66 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.fixture
+def run(folder, capsys):
+    """Return a function that runs a command on a file and returns what it prints."""
+
+    def run(name, text=None, *, command="identify", code=0):
+        if text is not None:
+            (folder / name).write_text(text)
+        assert main([command, name]) == code
+        said = capsys.readouterr()
+        return said.err if code == 2 else said.out
+
+    return run
+
+
+def flat(text):
+    """Return a text without its line breaks."""
+    return " ".join(text.split())
+
+
 def results(folder, name):
     out = folder / f"{name}-identify"
     facts = json.loads((out / "identified.json").read_text())
     return out, facts, tomllib.loads((out / "identified.toml").read_text())
 
 
+def save(file, head, *columns):
+    """Write columns, or rows of several, below the names in a head."""
+    cells = np.column_stack(columns)
+    np.savetxt(file, cells, delimiter=",", header=head, comments="")
+
+
+def record(folder, name, time, force, feed, head="time_s,Fx_N,Fy_N,Fz_N"):
+    """Write a record of a slot; return the entry that names it."""
+    save(folder / name, head, time, force)
+    return f'[[record]]\nfile = "{name}"\nfeed_per_tooth = "{1e3 * feed} mm"\n'
+
+
+def drawn(out):
+    return {file.stem for file in out.glob("*.png")}
+
+
 def write_means(folder):
-    slope, offset = identification.mean_force_matrices(2, 3e-3, 0.0, math.pi)
     feeds = np.array([0.05e-3, 0.1e-3, 0.15e-3, 0.2e-3])
-    force = feeds[:, None] * (slope @ K[:3])[None] + (offset @ K[3:])[None]
+    force = mean_lines(feeds, K)
     force = force + 0.3 * np.random.default_rng(0).normal(size=force.shape)
     # The dynamometer is turned: its x is y of the feed.
-    rows = [
-        f"{1e3 * f:g},{y},{x},{z}" for f, (x, y, z) in zip(feeds, force, strict=True)
-    ]
-    (folder / "means.csv").write_text("fz_mm,Fx_N,Fy_N,Fz_N\n" + "\n".join(rows))
+    save(folder / "means.csv", "fz_mm,Fx_N,Fy_N,Fz_N", 1e3 * feeds, force[:, [1, 0, 2]])
 
 
-def test_means_are_fitted_and_axes_are_proposed_not_changed(folder, capsys):
+TURNED = MEANS + '[fit]\naxes = ["y", "x", "z"]\n'
+
+
+def test_means_are_fitted_and_axes_are_proposed_not_changed(folder, run):
     write_means(folder)
-    (folder / "means.toml").write_text(MEANS)
-    assert main(["identify", "means.toml"]) == 0
-    text = capsys.readouterr().out
+    text = run("means.toml", MEANS)
     assert 'The axes ["y", "x", "z"] make more sense' in text
     assert "Nothing was changed" in text
     out, facts, toml = results(folder, "means")
     assert facts["axes"] == ["x", "y", "z"] and toml == {}
-    (folder / "turned.toml").write_text(MEANS + '[fit]\naxes = ["y", "x", "z"]\n')
-    assert main(["identify", "turned.toml"]) == 0
-    printed = capsys.readouterr().out
+    printed = run("turned.toml", TURNED)
     assert "make more sense" not in printed
     # Student's t of two degrees of freedom, from a printed table.
     assert "within 4.3 standard errors: 4 feeds leave 2 degrees" in printed
@@ -106,9 +137,8 @@ def test_means_are_fitted_and_axes_are_proposed_not_changed(folder, capsys):
     assert toml["force"]["K_tc"].endswith("N/mm^2")
     check_digits(toml["force"], facts, out)
     assert 0 < toml["correction"]["uncertainty"]["force"] < 0.05
-    assert {"mean_forces.png", "correlation.png", "summary.txt"} <= {
-        p.name for p in out.iterdir()
-    }
+    assert drawn(out) == {"mean_forces", "correlation"}
+    assert (out / "summary.txt").is_file()
 
 
 def check_digits(force, facts, out):
@@ -127,25 +157,18 @@ def check_digits(force, facts, out):
         assert float(line.split("+- ")[1]) == pytest.approx(error, rel=0.06)
 
 
-def test_forces_on_the_workpiece_are_reversed_and_said(folder, capsys):
+def test_forces_on_the_workpiece_are_reversed_and_said(folder, run):
     """A dynamometer below the part gives the coefficients of the force on the tool."""
     write_means(folder)
     rows = np.loadtxt(folder / "means.csv", delimiter=",", skiprows=1)
-    rows[:, 1:] *= -1
-    head = "fz_mm,Fx_N,Fy_N,Fz_N"
-    np.savetxt(folder / "means.csv", rows, delimiter=",", header=head, comments="")
-    axes = '[fit]\naxes = ["y", "x", "z"]\n'
-    (folder / "below.toml").write_text(MEANS + axes + 'force_on = "workpiece"\n')
-    assert main(["identify", "below.toml"]) == 0
-    said = " ".join(capsys.readouterr().out.split())
+    save(folder / "means.csv", "fz_mm,Fx_N,Fy_N,Fz_N", rows * [1, -1, -1, -1])
+    said = flat(run("below.toml", TURNED + 'force_on = "workpiece"\n'))
     assert "the recorded force, on the workpiece, was reversed first" in said
     _, facts, toml = results(folder, "below")
     assert facts["force_on"] == "workpiece" and "K_tc" in toml["force"]
     assert facts["coefficients_SI"]["K_tc"] == pytest.approx(K[0], rel=0.05)
     # As recorded the summary names the way to say so.
-    (folder / "plain.toml").write_text(MEANS + axes)
-    assert main(["identify", "plain.toml"]) == 0
-    said = " ".join(capsys.readouterr().out.split())
+    said = flat(run("plain.toml", TURNED))
     assert 'force_on = "workpiece"' in said and results(folder, "plain")[2] == {}
 
 
@@ -156,7 +179,7 @@ def test_what_is_found_is_kept_where_no_figure_can_be_drawn(
         raise RuntimeError("no font")
 
     write_means(folder)
-    (folder / "means.toml").write_text(MEANS + '[fit]\naxes = ["y", "x", "z"]\n')
+    (folder / "means.toml").write_text(TURNED)
     monkeypatch.setattr(viz, "save_figure", fails)
     assert main(["identify", "means.toml"]) == 1
     said = capsys.readouterr()
@@ -164,24 +187,26 @@ def test_what_is_found_is_kept_where_no_figure_can_be_drawn(
     assert "K_tc" in results(folder, "means")[2]["force"]
 
 
-def test_means_that_other_axes_suit_better_are_comments(folder, capsys):
+def test_means_that_other_axes_suit_better_are_comments(folder, run):
     """A mirrored Fx of a slot turns the radial coefficients about, not K_tc."""
     write_means(folder)
-    (folder / "mirror.toml").write_text(MEANS + '[fit]\naxes = ["-y", "x", "z"]\n')
-    assert main(["identify", "mirror.toml"]) == 0
-    assert "make more sense" in capsys.readouterr().out
+    assert "make more sense" in run("mirror.toml", TURNED.replace('"y"', '"-y"'))
     out, facts, toml = results(folder, "mirror")
     found = facts["coefficients_SI"]
     assert found["K_tc"] > 0 > found["K_rc"] and toml == {}
     assert '# K_rc = "-' in (out / "identified.toml").read_text()
 
 
+LINES = 10.0 + 0.25 * np.arange(81)
+# One mode of 2 N/um at 20 Hz.
+RECEPTANCE = receptance(LINES, [(20.0, 0.03, 2e6)])
+
+
 @pytest.mark.parametrize("form", ["uff", "mat"])
 def test_complex_responses_are_read_and_a_wrong_phase_is_named(folder, capsys, form):
-    """One mode of 2 N/um at 20 Hz: as a function of a universal file, and a vector."""
-    f = 10.0 + 0.25 * np.arange(81)
-    H = 1 / (2e6 * (1 - (f / 20) ** 2 + 0.06j * f / 20))
-    H *= 1 + 0.002 * np.random.default_rng(0).normal(size=f.size)
+    """As a function of a universal file, and as a vector."""
+    f = LINES
+    H = RECEPTANCE * (1 + 0.002 * np.random.default_rng(0).normal(size=f.size))
 
     def identified(response, name):
         if form == "mat":
@@ -195,7 +220,7 @@ def test_complex_responses_are_read_and_a_wrong_phase_is_named(folder, capsys, f
         )
         code = main(["identify", f"{name}.toml"])
         said = capsys.readouterr()
-        return code, " ".join((said.out + said.err).split())
+        return code, flat(said.out + said.err)
 
     code, said = identified(H, "right")
     assert code == 0 and "wrong sign" not in said
@@ -227,12 +252,11 @@ def universal(frequency, response):
     return "\n".join([*head, *rows, "    -1"]) + "\n"
 
 
-def test_means_that_no_material_has_are_comments(folder, capsys):
+def test_means_that_no_material_has_are_comments(folder, run):
     write_means(folder)
-    axes = '[fit]\naxes = ["y", "x", "z"]\n'
-    (folder / "unit.toml").write_text(MEANS + 'units = { force = "mN" }\n' + axes)
-    assert main(["identify", "unit.toml"]) == 0
-    assert "no material that is known lies" in " ".join(capsys.readouterr().out.split())
+    units = 'units = { force = "mN" }\n[fit]'
+    said = flat(run("unit.toml", TURNED.replace("[fit]", units)))
+    assert "no material that is known lies" in said
     out, facts, toml = results(folder, "unit")
     assert [one["code"] for one in facts["diagnoses"]] == ["implausible_pressure"]
     assert toml == {}
@@ -241,79 +265,69 @@ def test_means_that_no_material_has_are_comments(folder, capsys):
 
 
 def write_loads(folder, count=8, noise=0.01, move_unit="um"):
-    """Write load tests of the slides; return forces and displacements."""
+    """Write load tests of the slides."""
     draw = np.random.default_rng(0)
     force = draw.uniform(100, 300, (count, 3))
     moved = force / np.array([4.0, 9.0, np.inf])[None]
     moved[:, :2] *= 1 + noise * draw.normal(size=(count, 2))
     if count > 4:
         moved[4] *= -1
-    rows = [
-        f"0,0,{a[0]},{a[1]},{a[2]},{d[0]},{d[1]},{d[2]}"
-        for a, d in zip(force, moved, strict=True)
-    ]
-    head = ",".join(f"d{a} [{move_unit}]" for a in "xyz")
-    (folder / "loads.csv").write_text(
-        f"x [mm],y [mm],Fx [N],Fy [N],Fz [N],{head}\n" + "\n".join(rows)
-    )
-    (folder / "loads.toml").write_text(
-        'kind = "load_tests"\n[robot]\nfile = "slides.toml"\n'
-        '[load_tests]\nfile = "loads.csv"\n'
-    )
+    head = "x [mm],y [mm],Fx [N],Fy [N],Fz [N],"
+    head += ",".join(f"d{a} [{move_unit}]" for a in "xyz")
+    save(folder / "loads.csv", head, np.zeros((count, 2)), force, moved)
 
 
-def test_load_tests_give_springs_and_name_gross_errors(folder, capsys):
+LOADS = """kind = "load_tests"
+[robot]
+file = "slides.toml"
+[load_tests]
+file = "loads.csv"
+"""
+
+
+def test_load_tests_give_springs_and_name_gross_errors(folder, run):
     write_loads(folder)
-    assert main(["identify", "loads.toml"]) == 0
-    assert "Rows 5 of the table contradict the others" in capsys.readouterr().out
+    said = run("loads.toml", LOADS)
+    assert "Rows 5 of the table contradict the others" in said
     out, facts, toml = results(folder, "loads")
     np.testing.assert_allclose(facts["stiffness_SI"], [4e6, 9e6], rtol=0.02)
     assert facts["outlier_rows"] == [5] and facts["left_out_error"] < 0.05
     assert len(toml["robot"]["joint_stiffness"]) == 2
     assert toml["correction"]["uncertainty"]["gaussian"] is True
-    assert {p.name for p in out.glob("*.png")} == {
-        "stiffness.png",
-        "residual.png",
-        "left_out.png",
-        "correlation.png",
-    }
+    assert drawn(out) == {"stiffness", "residual", "left_out", "correlation"}
 
 
-def test_springs_far_from_the_model_are_comments(folder, capsys):
+def test_springs_far_from_the_model_are_comments(folder, run):
     """All a thousand times too stiff: the displacements were micrometres."""
     write_loads(folder, move_unit="nm")
-    assert main(["identify", "loads.toml"]) == 0
-    said = " ".join(capsys.readouterr().out.split())
+    said = flat(run("loads.toml", LOADS))
     assert "about 1e+03 times the model's stiffness" in said
     out, facts, toml = results(folder, "loads")
     assert toml == {} and all(facts["identifiable"])
     assert "# joint_stiffness = [" in (out / "identified.toml").read_text()
 
 
-def test_tests_that_moved_nothing_are_refused(folder, capsys):
+def test_tests_that_moved_nothing_are_refused(folder, run):
     write_loads(folder)
     head, *rows = (folder / "loads.csv").read_text().splitlines()
     still = [",".join([*row.split(",")[:5], "0,0,0"]) for row in rows]
     (folder / "loads.csv").write_text("\n".join([head, *still]))
-    assert main(["identify", "loads.toml"]) == 2
-    assert "loads: Argument `displacement` must differ" in capsys.readouterr().err
+    said = run("loads.toml", LOADS, code=2)
+    assert "loads: Argument `displacement` must differ" in said
 
 
-def test_too_few_tests_are_not_called_those_of_another_robot(folder, capsys):
+def test_too_few_tests_are_not_called_those_of_another_robot(folder, run):
     write_loads(folder, count=2, noise=0.4)
-    assert main(["identify", "loads.toml"]) == 0
+    run("loads.toml", LOADS)
     out, facts, _ = results(folder, "loads")
     assert facts["is_consistent"] and not all(facts["identifiable"])
     text = (out / "identified.toml").read_text()
     assert "does not suit the robot" not in text
 
 
-def test_tests_that_leave_no_scatter_say_so(folder, capsys):
+def test_tests_that_leave_no_scatter_say_so(folder, run):
     write_loads(folder, count=1)
-    table = (folder / "loads.toml").read_text()
-    (folder / "loads.toml").write_text(table + 'channels = { dz = "none" }\n')
-    assert main(["identify", "loads.toml"]) == 0
-    said = " ".join(capsys.readouterr().out.split())
+    said = flat(run("loads.toml", LOADS + 'channels = { dz = "none" }\n'))
     assert "its scatter is not known" in said and "inf um" not in said
     assert "load tests that would help most" in said
     assert "No force at this tool turns" not in said
@@ -324,13 +338,10 @@ def test_tests_that_leave_no_scatter_say_so(folder, capsys):
     assert not (out / "left_out.png").exists()
 
 
-def test_an_uncertainty_tells_what_it_leaves_out(folder, capsys):
+def test_an_uncertainty_tells_what_it_leaves_out(folder, run):
     """No load along y: its spring is as in the model, and how sure that is nobody."""
     write_loads(folder)
-    table = (folder / "loads.toml").read_text()
-    keys = 'channels = { Fy = "none", dy = "none" }\n'
-    (folder / "loads.toml").write_text(table + keys)
-    assert main(["identify", "loads.toml"]) == 0
+    run("loads.toml", LOADS + 'channels = { Fy = "none", dy = "none" }\n')
     out, facts, toml = results(folder, "loads")
     assert facts["identifiable"] == [True, False]
     assert 0 < toml["correction"]["uncertainty"]["stiffness"] < 0.1
@@ -338,14 +349,12 @@ def test_an_uncertainty_tells_what_it_leaves_out(folder, capsys):
 
 
 @pytest.mark.parametrize("noise", [0.01, 0.15])
-def test_modes_give_dampers(folder, capsys, noise):
+def test_modes_give_dampers(folder, run, noise):
     """As comments where noise hides what the modes explain."""
     # sqrt(K / m) = 200 and 300 rad/s; D / (2 sqrt(K m)) = 1 % and 1.5 %.
     time = np.arange(0, 1, 5e-4)
-    signal = sum(
-        a * np.exp(-z * w * time) * np.cos(w * np.sqrt(1 - z**2) * time)
-        for a, w, z in ((1.0, 200.0, 0.01), (0.5, 300.0, 0.015))
-    )
+    modes = ((100 / np.pi, 0.01, 1.0), (150 / np.pi, 0.015, 0.5))
+    signal = ring_down(time, modes)
     draw, text = np.random.default_rng(0), ""
     for name in ("first.txt", "second.txt"):
         noisy = signal + noise * draw.normal(size=time.size)
@@ -353,10 +362,9 @@ def test_modes_give_dampers(folder, capsys, noise):
         (folder / name).write_text("blow 1\nt\ta\n[s]\t[m/s^2]\n" + rows)
         text += f'[[ring_down]]\nfile = "{name}"\nmodes = 2\n'
         text += 'joint_positions = ["0 mm", "0 mm"]\n'
-    (folder / "ring.toml").write_text(
-        'kind = "ring_down"\n[robot]\nfile = "slides.toml"\n' + text
+    said = run(
+        "ring.toml", f'kind = "ring_down"\n[robot]\nfile = "slides.toml"\n{text}'
     )
-    assert main(["identify", "ring.toml"]) == 0
     out, facts, toml = results(folder, "ring")
     found = facts["measured"][0]
     if noise > 0.1:
@@ -365,17 +373,16 @@ def test_modes_give_dampers(folder, capsys, noise):
         return
     assert "joint_damping" in toml["robot"]
     np.testing.assert_allclose(
-        found["frequencies_Hz"], [100 / np.pi, 150 / np.pi], rtol=1e-3
+        found["frequencies_Hz"], [f for f, *_ in modes], rtol=1e-3
     )
     np.testing.assert_allclose(found["damping_ratios"], [0.01, 0.015], rtol=0.05)
     names = {f"{x}_{i}" for x in ("ring_down", "correlation") for i in (1, 2)}
     names |= {"damping", "damping_correlation"}
-    assert {p.stem for p in out.glob("*.png")} == names
-    assert "joint dampers" in capsys.readouterr().out
+    assert drawn(out) == names and "joint dampers" in said
 
 
 @pytest.mark.slow
-def test_a_hammer_test_gives_the_machine_of_a_job(folder):
+def test_a_hammer_test_gives_the_machine_of_a_job(folder, run):
     shapes = np.array([[0.2, 0.0, 0.0], [0.5, 0.0, 0.0], [0.0, 0.3, 0.0]])
     ratios = np.array([0.02, 0.04, 0.03])
     machine = rb.TipModes(np.array([60.0, 200.0, 90.0]), ratios, shapes)
@@ -387,17 +394,13 @@ def test_a_hammer_test_gives_the_machine_of_a_job(folder):
         H = truth[:, axis, axis]
         noise = random.normal(size=(2, H.size)) * 2e-3 * np.abs(H).max()
         H = H + noise[0] + 1j * noise[1]
-        rows = "".join(
-            f"{f},{h.real},{h.imag}\n" for f, h in zip(lines, H, strict=True)
-        )
-        (folder / f"{axis}.csv").write_text("frequency_Hz,real,imag\n" + rows)
+        save(folder / f"{axis}.csv", "frequency_Hz,real,imag", lines, H.real, H.imag)
         text += (
             f'[[frequency_response]]\nfile = "{axis}.csv"\nmodes = {count}\n'
             f'units = {{ response = "m/N" }}\n'
             f"direction = {[float(k == axis) for k in range(3)]}\n"
         )
-    (folder / "hammer.toml").write_text(text)
-    assert main(["identify", "hammer.toml"]) == 0
+    run("hammer.toml", text)
     file = write_slides_job(folder)
     robot, rest = JOB.index("[robot]"), JOB.index("[simulation]")
     named = '[machine]\nfile = "hammer-identify/identified.toml"\n'
@@ -408,16 +411,16 @@ def test_a_hammer_test_gives_the_machine_of_a_job(folder):
     assert np.abs(found - truth).max() < 0.01 * np.abs(truth).max()
 
 
-def test_modes_that_explain_little_are_comments(folder):
+TIP = 'kind = "frequency_response"\n[[frequency_response]]\nfile = "tip.csv"\n'
+
+
+def test_modes_that_explain_little_are_comments(folder, run):
     """Degrees that the file calls radians."""
     f = np.arange(2.0, 60.0, 0.25)
-    H = 1e-6 / (1 - (f / 20) ** 2 + 0.06j * f / 20)
-    cells = zip(f, np.abs(H), np.angle(H, deg=True), strict=True)
-    rows = "".join(f"{a},{b},{c}\n" for a, b, c in cells)
-    (folder / "tip.csv").write_text(f"frequency_Hz,mag [m/N],phase_rad\n{rows}")
-    text = 'kind = "frequency_response"\n[[frequency_response]]\nfile = "tip.csv"\n'
-    (folder / "tip.toml").write_text(f"{text}direction = [1, 0, 0]\n")
-    assert main(["identify", "tip.toml"]) == 0
+    H = receptance(f, [(20.0, 0.03, 1e6)])
+    head = "frequency_Hz,mag [m/N],phase_rad"
+    save(folder / "tip.csv", head, f, np.abs(H), np.angle(H, deg=True))
+    run("tip.toml", f"{TIP}direction = [1, 0, 0]\n")
     out, facts, toml = results(folder, "tip")
     assert facts["measured"][0]["explained"] < 0.9 and toml == {}
     assert "# [[machine.modes]]" in (out / "identified.toml").read_text()
@@ -479,8 +482,7 @@ def test_a_coupled_fit_is_told_and_drawn_beside_its_record(tmp_path, identified)
     assert len(found["K_tc"].split()[0].replace(".", "")) <= 4
     assert te == pytest.approx(1e-3 * law["K_te"], rel=1e-5)
     assert text.count("# as in the job") == 3
-    figures = {file.stem for file in out.glob("*.png")}
-    assert figures == {"force", "deviation", "correlation"}
+    assert drawn(out) == {"force", "deviation", "correlation"}
 
 
 def test_a_coupled_fit_is_written_as_its_job_takes_it(tmp_path, identified):
@@ -516,16 +518,13 @@ reference_thickness = "0.5 mm"
     assert float(job.robot.joint_stiffness[0]) == pytest.approx(2e6)
 
 
-def test_what_is_wrong_is_said_once_and_nothing_is_written(folder, capsys):
-    (folder / "bad.toml").write_text('kind = "mean_forces"\n[cutter]\nteeth = 0\n')
-    assert main(["identify", "bad.toml"]) == 2
-    error = capsys.readouterr().err
+def test_what_is_wrong_is_said_once_and_nothing_is_written(folder, run, capsys):
+    error = run("bad.toml", 'kind = "mean_forces"\n[cutter]\nteeth = 0\n', code=2)
     for part in ("diameter", "teeth", "[cut]: found no such table"):
         assert part in error
     assert not (folder / "bad-identify").exists()
-    (folder / "job.toml").write_text('[program]\nfile = "a.ngc"\n')
-    assert main(["identify", "job.toml"]) == 2
-    assert "give the file of its measured forces after it" in capsys.readouterr().err
+    error = run("job.toml", '[program]\nfile = "a.ngc"\n', code=2)
+    assert "give the file of its measured forces after it" in error
     assert main(["identify", "job.toml", "none.csv"]) == 2
     assert "found no file none.csv" in capsys.readouterr().err
 
@@ -584,30 +583,26 @@ def write_records(folder):
             f'[[record]]\nfile = "{file.name}"\nfeed_per_tooth = "{1e3 * feed} mm"\n'
         )
         text += more
-    (folder / "four.toml").write_text(text + '[fit]\nlowpass = "1.5 kHz"\n')
+    return text + '[fit]\nlowpass = "1.5 kHz"\n'
 
 
-def test_check_tells_what_an_identification_would_read(folder, capsys):
-    write_records(folder)
-    assert main(["check", "four.toml"]) == 0
-    said = capsys.readouterr().out
+def test_check_tells_what_an_identification_would_read(folder, run):
+    text = write_records(folder)
+    said = run("four.toml", text, command="check")
     assert "a file for `diffmill identify` without faults" in said
     for name in ("slot0.tdms", "slot1.mat", "slot2.nc", "slot3.txt"):
         assert f"{name}: cut from 0 to 0.0899 s at 10000 Hz" in said
     assert "angle was taken from the column for the tacho" in said
-    text = (folder / "four.toml").read_text()
     changes = (
         ("pulses_per_turn = 1", "pulses_per_turn = 2", "look at the speed and at"),
         ('"slot1.mat"\n', '"slot1.mat"\ntooth_angle = "3 deg"\n', "without a column"),
         ('"slot1.mat"\n', '"slot1.mat"\ntime_shift = "3 s"\n', "no clock of its own"),
     )
     for old, new, message in changes:
-        (folder / "bad.toml").write_text(text.replace(old, new))
-        assert main(["check", "bad.toml"]) == 2
-        assert message in capsys.readouterr().err
-    (folder / "bad.toml").write_text('kind = "ring_downs"\n')
-    assert main(["check", "bad.toml"]) == 2
-    assert "kind: found 'ring_downs'" in capsys.readouterr().err
+        changed = text.replace(old, new)
+        assert message in run("bad.toml", changed, command="check", code=2)
+    said = run("bad.toml", 'kind = "ring_downs"\n', command="check", code=2)
+    assert "kind: found 'ring_downs'" in said
 
 
 OFFSET, DRIFT = np.array([5.0, -12.0, 40.0]), np.array([7.0, 0.0, -30.0])
@@ -620,17 +615,8 @@ def write_tared(folder, runout=0.0, unit="N"):
     force = slot_force(time, 0.1e-3, runout) * [1, 1, -1] * is_cut
     force += OFFSET + DRIFT * time[:, None]
     force += np.random.default_rng(0).normal(size=force.shape)
-    names = ",".join(f"F{axis} [{unit}]" for axis in "xyz")
-    np.savetxt(
-        folder / "slot.csv",
-        np.column_stack([time, force]),
-        delimiter=",",
-        header=f"time_s,{names}",
-        comments="",
-    )
-    record = '[[record]]\nfile = "slot.csv"\nfeed_per_tooth = "0.1 mm"\n'
-    (folder / "slot.toml").write_text(SLOTS + record)
-    return SLOTS + record
+    head = ",".join(["time_s", *(f"F{axis} [{unit}]" for axis in "xyz")])
+    return SLOTS + record(folder, "slot.csv", time, force, 0.1e-3, head)
 
 
 def numbers_behind(said, head):
@@ -639,10 +625,9 @@ def numbers_behind(said, head):
     return [float(line.split(f"F{axis} ")[1].split()[0].strip(",")) for axis in "xyz"]
 
 
-def test_check_tells_channels_offset_drift_and_noise_of_a_record(folder, capsys):
-    write_tared(folder)
-    assert main(["check", "slot.toml"]) == 0
-    said = capsys.readouterr().out
+def test_check_tells_channels_offset_drift_and_noise_of_a_record(folder, run):
+    text = write_tared(folder)
+    said = run("slot.toml", text, command="check")
     assert "time  column `time` [s]: 0 to 0.9999 s" in said
     assert "Fy    column `Fy` [N]: " in said
     found = numbers_behind(said, "offset taken away")
@@ -651,123 +636,86 @@ def test_check_tells_channels_offset_drift_and_noise_of_a_record(folder, capsys)
     np.testing.assert_allclose(found, OFFSET + DRIFT * instant, atol=0.3)
     np.testing.assert_allclose(numbers_behind(said, "drift taken"), DRIFT, atol=1)
     np.testing.assert_allclose(numbers_behind(said, "noise where"), 1, atol=0.1)
-    text = (folder / "slot.toml").read_text()
-    (folder / "slot.toml").write_text(text + 'tare = "none"\n')
-    assert main(["check", "slot.toml"]) == 0
-    assert "offset taken away: none" in capsys.readouterr().out
+    said = run("slot.toml", text + 'tare = "none"\n', command="check")
+    assert "offset taken away: none" in said
 
 
-def test_a_sensitivity_is_told_by_check_and_a_wrong_one_is_refused(folder, capsys):
-    text = write_tared(folder, unit="pC")
-    (folder / "slot.toml").write_text(text + 'units = { force = "4 pC/N" }\n')
-    assert main(["check", "slot.toml"]) == 0
-    said = capsys.readouterr().out
+def test_a_sensitivity_is_told_by_check_and_a_wrong_one_is_refused(folder, run):
+    text = write_tared(folder, unit="pC") + "units = { force = "
+    said = run("slot.toml", text + '"4 pC/N" }\n', command="check")
     assert "Fx    column `Fx` [4 pC/N]" in said
     found = numbers_behind(said, "noise where")
     np.testing.assert_allclose(found, 0.25, atol=0.03)
-    (folder / "slot.toml").write_text(text + 'units = { force = "100 N/V" }\n')
-    assert main(["check", "slot.toml"]) == 2
-    error = capsys.readouterr().err
+    error = run("slot.toml", text + '"100 N/V" }\n', command="check", code=2)
     assert "[[record]] 1 file: slot.csv: the unit of `force`" in error
     assert "a column in pC" in error
 
 
-def test_check_tells_what_was_read_of_means_loads_and_vibrations(folder, capsys):
+def test_check_tells_what_was_read_of_means_loads_and_vibrations(folder, run):
     write_means(folder)
-    (folder / "means.toml").write_text(MEANS)
-    assert main(["check", "means.toml"]) == 0
-    said = capsys.readouterr().out
+    said = run("means.toml", MEANS, command="check")
     assert "mean forces at 4 feeds, 0.05 to 0.2 mm per tooth" in said
     assert "feed_per_tooth  column `fz_mm` [mm]: 0.05 to 0.2 mm" in said
     assert "Fz              column `Fz` [N]: " in said
     lists = 'feed_per_tooth = ["0.1 mm", "0.2 mm"]\nFx = ["1 N", "2 N"]\n'
     lists += 'Fy = ["30 N", "50 N"]\nFz = ["-3 N", "-5 N"]\n'
-    (folder / "means.toml").write_text(MEANS.replace('file = "means.csv"\n', lists))
-    assert main(["check", "means.toml"]) == 0
-    assert "mean Fz: -5 to -3 N" in capsys.readouterr().out
+    text = MEANS.replace('file = "means.csv"\n', lists)
+    assert "mean Fz: -5 to -3 N" in run("means.toml", text, command="check")
     write_loads(folder)
-    assert main(["check", "loads.toml"]) == 0
-    said = capsys.readouterr().out
+    said = run("loads.toml", LOADS, command="check")
     assert "8 load tests of slides" in said
     assert "x   column `x` [mm]: 0 to 0 um" in said
     assert "dx  column `dx` [um]: " in said and "Fx  column `Fx` [N]: " in said
-    f = 10.0 + 0.25 * np.arange(81)
-    H = 1 / (2e6 * (1 - (f / 20) ** 2 + 0.06j * f / 20))
-    cells = np.column_stack([f, H.real, H.imag])
-    head = "frequency_Hz,real [m/N],imag [m/N]"
-    np.savetxt(folder / "tip.csv", cells, delimiter=",", header=head, comments="")
-    text = 'kind = "frequency_response"\n[[frequency_response]]\nfile = "tip.csv"\n'
-    (folder / "tip.toml").write_text(f'{text}lowest = "15 Hz"\n')
-    assert main(["check", "tip.toml"]) == 0
-    said = capsys.readouterr().out
+    head, H = "frequency_Hz,real [m/N],imag [m/N]", RECEPTANCE
+    save(folder / "tip.csv", head, LINES, H.real, H.imag)
+    said = run("tip.toml", f'{TIP}lowest = "15 Hz"\n', command="check")
     assert "tip.csv: receptance, 81 lines from 10 to 30 Hz, 61 of them fitted" in said
     assert "real       column `real` [m/N]: " in said
     t = np.arange(0, 1, 5e-4)
-    wave = np.exp(-2 * t) * np.cos(200 * t)
-    rows = np.column_stack([t, wave])
-    np.savetxt(folder / "hit.csv", rows, delimiter=",", header="t_s,a", comments="")
-    (folder / "hit.toml").write_text(
-        'kind = "ring_down"\n[[ring_down]]\nfile = "hit.csv"\n'
-    )
-    assert main(["check", "hit.toml"]) == 0
-    said = capsys.readouterr().out
+    save(folder / "hit.csv", "t_s,a", t, np.exp(-2 * t) * np.cos(200 * t))
+    text = 'kind = "ring_down"\n[[ring_down]]\nfile = "hit.csv"\n'
+    said = run("hit.toml", text, command="check")
     assert "hit.csv: 2000 samples from 0 to 0.9995 s, modes sought: 1" in said
     assert "signal  column `a` [any unit]: -" in said
 
 
-def test_check_tells_what_was_read_of_paths_in_the_air(folder, capsys):
+def test_check_tells_what_was_read_of_paths_in_the_air(folder, run):
     t = np.arange(0, 2, 0.01)
-    rows = np.column_stack([t, 50 * np.sin(2 * t), 0 * t, 0 * t])
     for name, lag in (("commanded", 0), ("actual", 3)):
-        rows[:, 1] = 50 * np.sin(2 * (t - 0.01 * lag))
-        head = "time_s,x_mm,y_mm,z_mm"
-        np.savetxt(
-            folder / f"{name}.csv", rows, delimiter=",", header=head, comments=""
-        )
-    (folder / "air.toml").write_text(
-        'kind = "controller"\n[air_path]\n'
-        'commanded = "commanded.csv"\nactual = "actual.csv"\n'
-    )
-    assert main(["check", "air.toml"]) == 0
-    said = capsys.readouterr().out
+        x, head = 50 * np.sin(2 * (t - 0.01 * lag)), "time_s,x_mm,y_mm,z_mm"
+        save(folder / f"{name}.csv", head, t, x, 0 * t, 0 * t)
+    text = 'kind = "controller"\n[air_path]\ncommanded = "commanded.csv"\n'
+    said = run("air.toml", f'{text}actual = "actual.csv"\n', command="check")
     assert "200 rows every 10 ms, 1.99 s" in said
     assert "actual less commanded: x -" in said and "mm, y 0 to 0 um" in said
 
 
-def test_check_tells_what_was_read_of_arm_and_cut(tmp_path, capsys):
-    file = write_slides_job(tmp_path)
+def test_check_tells_what_was_read_of_arm_and_cut(folder, run):
+    file = write_slides_job(folder)
     job = load_job(file)
     time = np.arange(80) * float(job.tooth_period)
     wave = 100 * np.sin(20 * time)
-    rows = np.column_stack([time, wave, wave, wave])
-    head = "time_s,Fx_N,Fy_N,Fz_N"
-    np.savetxt(tmp_path / "run.csv", rows, delimiter=",", header=head, comments="")
-    (tmp_path / "run.toml").write_text(
-        f'kind = "coupled"\n[coupled]\njob = "{file.name}"\nfile = "run.csv"\n'
-    )
-    assert main(["check", str(tmp_path / "run.toml")]) == 0
-    said = capsys.readouterr().out
+    save(folder / "run.csv", "time_s,Fx_N,Fy_N,Fz_N", time, wave, wave, wave)
+    text = f'kind = "coupled"\n[coupled]\njob = "{file.name}"\nfile = "run.csv"\n'
+    said = run("run.toml", text, command="check")
     assert "80 rows from 0 to " in said
     assert "Fx    column `Fx` [N]: -" in said
 
 
 @pytest.mark.slow
-def test_runout_is_named_then_fitted_and_written_as_keys(folder, capsys):
+def test_runout_is_named_then_fitted_and_written_as_keys(folder, run):
     text = write_tared(folder, runout=8e-6)
-    assert main(["identify", "slot.toml"]) == 0
-    printed = capsys.readouterr().out
+    printed = run("slot.toml", text)
     np.testing.assert_allclose(numbers_behind(printed, "noise where"), 1, atol=0.1)
     np.testing.assert_allclose(numbers_behind(printed, "drift taken"), DRIFT, atol=1)
-    said = " ".join(printed.split())
+    said = flat(printed)
     assert "a line at the spindle's frequency, 100 Hz, of amplitude Fx 3" in said
     assert 'Fit the run-out by refine = ["runout"] in [fit].' in said
     _, facts, toml = results(folder, "slot")
     (line,) = facts["diagnoses"]
     assert line["code"] == "spindle_line" and "cutter" not in toml
     assert facts["tare"][0]["drift_N_per_s"] == pytest.approx(DRIFT, abs=1)
-    (folder / "more.toml").write_text(text + '[fit]\nrefine = ["runout"]\n')
-    assert main(["identify", "more.toml"]) == 0
-    said = " ".join(capsys.readouterr().out.split())
+    said = flat(run("more.toml", text + '[fit]\nrefine = ["runout"]\n'))
     assert "spindle's frequency" not in said
     out, facts, toml = results(folder, "more")
     runout = quantity(toml["cutter"]["runout"], LENGTH)
@@ -780,10 +728,9 @@ def test_runout_is_named_then_fitted_and_written_as_keys(folder, capsys):
 
 
 @pytest.mark.slow
-def test_records_of_four_programs_are_fitted_together(folder, capsys):
-    write_records(folder)
-    assert main(["identify", "four.toml"]) == 0
-    said = capsys.readouterr().out
+def test_records_of_four_programs_are_fitted_together(folder, run):
+    text = write_records(folder)
+    said = run("four.toml", text)
     _, facts, _ = results(folder, "four")
     for name, value in zip(LinearEdgeLaw.NAMES, K, strict=True):
         assert abs(facts["coefficients_SI"][name] / value - 1) < 0.03
@@ -792,16 +739,15 @@ def test_records_of_four_programs_are_fitted_together(folder, capsys):
     angle = float(said.split('tooth_angle = "')[1].split(" deg")[0])
     assert min(abs(angle - 30), abs(angle + 150)) < 3
     # With that the first record alone is fitted to its tooth.
-    head, one, *_ = (folder / "four.toml").read_text().split("[[record]]")
+    head, one, *_ = text.split("[[record]]")
     text = f'{head}[[record]]{one}tooth_angle = "{angle + 4} deg"\n'
-    (folder / "one.toml").write_text(text + '[fit]\nlowpass = "1.5 kHz"\n')
-    assert main(["identify", "one.toml"]) == 0
-    off = float(capsys.readouterr().out.split("the tooth stands ")[1].split(" deg")[0])
+    said = run("one.toml", text + '[fit]\nlowpass = "1.5 kHz"\n')
+    off = float(said.split("the tooth stands ")[1].split(" deg")[0])
     assert abs(off + 4) < 0.5
 
 
 @pytest.mark.slow
-def test_a_record_of_a_straight_cut_gives_its_coefficients(folder, capsys):
+def test_a_record_of_a_straight_cut_gives_its_coefficients(folder, run):
     cutter = ct.flat_end_mill(10e-3, 2, helix_angle=math.radians(30))
     speed = 6000 * 2 * math.pi / 60 * 1.002
     cut = identification.StraightCut(cutter, speed, 0.1e-3, 2e-3).cut(teeth=96)
@@ -814,16 +760,8 @@ def test_a_record_of_a_straight_cut_gives_its_coefficients(folder, capsys):
     force = np.stack([np.interp(time, grid, f) for f in clean], axis=1)
     draw = np.random.default_rng(0)
     force += 0.05 * np.sqrt(np.mean(force**2)) * draw.normal(size=force.shape)
-    rows = [f"{t:.5f};{y};{x};{z}" for t, (x, y, z) in zip(time, force, strict=True)]
-    (folder / "slot.txt").write_text("t;Fx;Fy;Fz\ns;N;N;N\n" + "\n".join(rows))
-    (folder / "slot.toml").write_text(
-        'kind = "force_records"\n[cutter]\ndiameter = "10 mm"\nteeth = 2\n'
-        'helix_angle = "30 deg"\n[spindle]\nspeed = "6000 rpm"\n[cut]\n'
-        'axial_depth = "2 mm"\n[[record]]\nfile = "slot.txt"\n'
-        'feed_per_tooth = "0.1 mm"\n[fit]\naxes = "proposed"\n'
-    )
-    assert main(["identify", "slot.toml"]) == 0
-    text = capsys.readouterr().out
+    text = SLOTS + record(folder, "slot.csv", time, force[:, [1, 0, 2]], 0.1e-3)
+    text = run("slot.toml", text + '[fit]\naxes = "proposed"\n')
     assert 'axes: ["y", "x", "z"] (the likeliest, as asked for)' in text
     assert " 6012." in text and "No section without a cut was found" in text
     out, facts, toml = results(folder, "slot")
@@ -832,42 +770,28 @@ def test_a_record_of_a_straight_cut_gives_its_coefficients(folder, capsys):
     left_out = facts["left_out"][0]
     assert left_out["error"] < 0.06
     assert left_out["explained"] == pytest.approx(1 - left_out["error"] ** 2)
-    assert {"record.png", "spectrum.png", "left_out.png", "correlation.png"} <= {
-        p.name for p in out.iterdir()
-    }
+    assert drawn(out) == {"record", "spectrum", "left_out", "correlation"}
     assert set(toml["force"]) == set(LinearEdgeLaw.NAMES)
 
 
 @pytest.mark.slow
-def test_a_record_in_other_axes_than_the_rest_is_named(folder, capsys):
+def test_a_record_in_other_axes_than_the_rest_is_named(folder, run):
     time, text = np.arange(0, 0.25, 1e-4), SLOTS
     for i, (feed, side) in enumerate(((0.08e-3, 1), (0.1e-3, 1), (0.12e-3, -1))):
         force = slot_force(time, feed) * [1, side, 1]
-        rows = [
-            f"{t:.5f};{x};{y};{z}" for t, (x, y, z) in zip(time, force, strict=True)
-        ]
-        name = f"slot{i}.txt"
-        (folder / name).write_text("t;Fx;Fy;Fz\ns;N;N;N\n" + "\n".join(rows))
-        text += f'[[record]]\nfile = "{name}"\nfeed_per_tooth = "{1e3 * feed} mm"\n'
-    (folder / "slot.toml").write_text(text)
-    assert main(["identify", "slot.toml"]) == 0
-    said = " ".join(capsys.readouterr().out.split())
+        text += record(folder, f"slot{i}.txt", time, force, feed)
+    said = flat(run("slot.toml", text))
     assert said.count("does not agree with the others") == 1
     _, _, place = said.partition("slot2.txt does not agree with the others")
     assert place.startswith(': alone it suits the axes ["x", "-y", "-z"]')
 
 
 @pytest.mark.slow
-def test_means_of_a_cutter_with_other_teeth_are_comments(folder, capsys):
+def test_means_of_a_cutter_with_other_teeth_are_comments(folder, run):
     time, job = np.arange(0, 0.1, 2e-4), SLOTS.replace("force_records", "mean_forces")
     for i, feed in enumerate((0.05e-3, 0.1e-3, 0.15e-3)):
-        rows = np.column_stack([time, slot_force(time, feed)])
-        name = f"slot{i}.txt"
-        np.savetxt(folder / name, rows, header="t_s Fx_N Fy_N Fz_N", comments="")
-        job += f'[[record]]\nfile = "{name}"\nfeed_per_tooth = "{1e3 * feed} mm"\n'
-    (folder / "slot.toml").write_text(job.replace("teeth = 2", "teeth = 4"))
-    assert main(["identify", "slot.toml"]) == 0
-    said = capsys.readouterr().out
+        job += record(folder, f"slot{i}.txt", time, slot_force(time, feed), feed)
+    said = run("slot.toml", job.replace("teeth = 2", "teeth = 4"))
     for i in range(3):
         assert f"warning: slot{i}.txt: The forces repeat 2 times a turn" in said
     _, facts, toml = results(folder, "slot")
@@ -878,37 +802,26 @@ def test_means_of_a_cutter_with_other_teeth_are_comments(folder, capsys):
 
 
 @pytest.mark.slow
-def test_means_of_saturated_records_are_comments(folder):
+def test_means_of_saturated_records_are_comments(folder, run):
     time, job = np.arange(0, 0.1, 2e-4), SLOTS.replace("force_records", "mean_forces")
     for i, feed in enumerate((0.05e-3, 0.1e-3, 0.15e-3)):
         force = slot_force(time, feed)
-        rows = np.column_stack([time, np.minimum(force, 0.7 * force.max())])
-        np.savetxt(
-            folder / f"slot{i}.txt", rows, header="t_s Fx_N Fy_N Fz_N", comments=""
-        )
-        job += f'[[record]]\nfile = "slot{i}.txt"\n'
-        job += f'feed_per_tooth = "{1e3 * feed} mm"\n'
-    (folder / "slot.toml").write_text(job)
-    assert main(["identify", "slot.toml"]) == 0
+        force = np.minimum(force, 0.7 * force.max())
+        job += record(folder, f"slot{i}.txt", time, force, feed)
+    run("slot.toml", job)
     out, _, toml = results(folder, "slot")
     assert toml == {}
     assert "Samples of a record are saturated" in (out / "identified.toml").read_text()
 
 
 @pytest.mark.slow
-def test_two_forces_give_what_they_show(folder, capsys):
+def test_two_forces_give_what_they_show(folder, run):
     time = np.arange(0, 0.25, 1e-4)
     force = slot_force(time, 0.1e-3)
     draw = np.random.default_rng(0)
     force += 0.05 * np.sqrt(np.mean(force**2)) * draw.normal(size=force.shape)
-    rows = [f"{t:.5f};{x};{y};0" for t, (x, y, _) in zip(time, force, strict=True)]
-    (folder / "slot.txt").write_text("t;Fx;Fy;Fz\ns;N;N;N\n" + "\n".join(rows))
-    (folder / "slot.toml").write_text(
-        SLOTS + '[[record]]\nfile = "slot.txt"\nfeed_per_tooth = "0.1 mm"\n'
-        'channels = { Fz = "none" }\n'
-    )
-    assert main(["identify", "slot.toml"]) == 0
-    said = capsys.readouterr().out
+    text = SLOTS + record(folder, "slot.txt", time, force * [1, 1, 0], 0.1e-3)
+    said = run("slot.toml", text + 'channels = { Fz = "none" }\n')
     assert "does not vary" not in said and "make more sense" not in said
     assert "no axial force was measured: record it too" in said
     _, facts, toml = results(folder, "slot")

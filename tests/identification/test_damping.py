@@ -1,8 +1,7 @@
-import math
-
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from vibrations import ring_down
 
 from diffmill import identification, robot as rb
 
@@ -10,11 +9,7 @@ from diffmill import identification, robot as rb
 def test_two_modes_of_a_ring_down():
     t = np.arange(2000) / 1000
     f, zeta = np.array([9.0, 14.0]), np.array([0.03, 0.015])
-    omega = 2 * math.pi * f
-    y = sum(
-        a * np.exp(-z * w * t) * np.cos(w * math.sqrt(1 - z**2) * t + p)
-        for a, z, w, p in zip((1.0, 0.6), zeta, omega, (0.3, 1.0), strict=True)
-    )
+    y = ring_down(t, list(zip(f, zeta, (1.0, 0.6), strict=True)), (0.3, 1.0))
     y = y + 0.01 * np.random.default_rng(0).normal(size=t.shape)
     fit = identification.fit_ring_down(t, y, [13.0, 9.5])
     assert (np.abs(fit.frequencies - f) < 4 * fit.frequency_errors).all()

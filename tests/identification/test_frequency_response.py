@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from vibrations import receptance, ring_down, with_noise
 
 from diffmill import identification
 
@@ -10,15 +11,7 @@ FACTORS = {"receptance": 1.0, "mobility": 1j * OMEGA, "accelerance": -(OMEGA**2)
 
 
 def response(noise=0.0, modes=MODES):
-    total = 0.0
-    for frequency, zeta, stiffness in modes:
-        own = 2 * np.pi * frequency
-        total = total + own**2 / stiffness / (
-            own**2 - OMEGA**2 + 2j * zeta * own * OMEGA
-        )
-    draw = np.random.default_rng(0)
-    size = noise * np.sqrt(np.mean(np.abs(total) ** 2))
-    return total + size * (draw.normal(size=300) + 1j * draw.normal(size=300))
+    return with_noise(receptance(FREQUENCY, modes), noise)
 
 
 @pytest.mark.parametrize("quantity", list(FACTORS))
@@ -65,17 +58,10 @@ def test_what_is_missing_is_said():
 def test_clear_modes_are_found_below_the_noise_of_an_accelerometer(quantity):
     """Alike in acceleration, it is what stands out most in a displacement."""
     frequency = np.linspace(5.0, 4000.0, 1000)
-    omega, draw = 2 * np.pi * frequency, np.random.default_rng(1)
+    omega = 2 * np.pi * frequency
     modes = ((1070.0, 0.035, 2.2e7), (1990.0, 0.02, 4e7), (2650.0, 0.025, 6e7))
-    total = 1 / 2e8
-    for place, zeta, stiffness in modes:
-        own = 2 * np.pi * place
-        total = total + own**2 / stiffness / (
-            own**2 - omega**2 + 2j * zeta * own * omega
-        )
-    total = -(omega**2) * total
-    size = 0.01 * np.sqrt(np.mean(np.abs(total) ** 2))
-    total = total + size * (draw.normal(size=1000) + 1j * draw.normal(size=1000))
+    total = -(omega**2) * (1 / 2e8 + receptance(frequency, modes))
+    total = with_noise(total, 0.01, seed=1)
     if quantity == "receptance":
         total = -total / omega**2
     fit = identification.fit_frequency_response(
@@ -102,12 +88,8 @@ def test_what_no_structure_has_is_no_mode():
 
 def test_a_damped_mode_beside_sharp_ones_is_found_in_a_ring_down():
     time = np.arange(0, 1.5, 1e-3)
-    signal = np.zeros_like(time)
     modes = ((11.06, 0.0427, 1.0), (15.4, 0.103, 0.5), (28.1, 0.0115, 0.3))
-    for frequency, zeta, size in modes:
-        own = 2 * np.pi * frequency
-        wave = np.cos(own * np.sqrt(1 - zeta**2) * time)
-        signal += size * np.exp(-zeta * own * time) * wave
+    signal = ring_down(time, modes)
     signal += 0.01 * np.random.default_rng(0).normal(size=time.size)
     ring = identification.RingDown("ring", time, signal, 3, None, None, ())
     fit = ring.fit()

@@ -3,6 +3,7 @@ import math
 
 import numpy as np
 import pytest
+from slot_force import mean_lines
 
 from diffmill import identification
 from diffmill.cutting import LinearEdgeLaw
@@ -13,8 +14,7 @@ SLOT = {"teeth": 2, "axial_depth": 3e-3}
 
 
 def means(entry=0.0, leave=math.pi):
-    slope, offset = identification.mean_force_matrices(2, 3e-3, entry, leave)
-    line = FEEDS[:, None] * (slope @ K[:3])[None] + (offset @ K[3:])[None]
+    line = mean_lines(FEEDS, K, entry, leave)
     noise = np.random.default_rng(1).normal(size=line.shape)
     return line * (1 + 0.01 * noise)
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from helpers import PAPER_LAW
 from references import circles
+from slot_force import mean_lines
 
 from diffmill import identification
 from diffmill.cutting import LinearEdgeLaw
@@ -39,11 +40,9 @@ def test_quadratures_of_the_force_give_the_coefficients_back(entry, exit):
 
 
 def test_standard_errors_cover_the_truth():
-    slope, offset = identification.mean_force_matrices(2, 3e-3, 0.0, 2.0)
-    c = np.array([PAPER["K_tc"], PAPER["K_rc"], PAPER["K_ac"]])
-    e = np.array([PAPER["K_te"], PAPER["K_re"], PAPER["K_ae"]])
+    truth = np.array(list(PAPER.values()))
     feeds = np.linspace(0.02e-3, 0.2e-3, 12)
-    mean = feeds[:, None] * (slope @ c)[None] + (offset @ e)[None]
+    mean = mean_lines(feeds, truth, leave=2.0)
     draw = np.random.default_rng(0)
     off, shared, fit = [], [], None
     for _ in range(200):
@@ -52,7 +51,7 @@ def test_standard_errors_cover_the_truth():
             feeds, noisy, teeth=2, axial_depth=3e-3, exit_angle=2.0
         )
         found = np.array(list(fit.coefficients.values()))
-        off.append(found - np.concatenate([c, e]))
+        off.append(found - truth)
         shared.append(
             np.abs(off[-1]) < 2 * np.array(list(fit.standard_errors.values()))
         )
@@ -88,14 +87,12 @@ def test_one_feed_is_no_line():
 
 def test_known_is_what_errs_little_beside_the_force():
     """An edge coefficient of zero may be known, a large one may not be."""
-    slope, _ = identification.mean_force_matrices(2, 3e-3, 0.0, math.pi)
-    feeds = np.array([0.05e-3, 0.1e-3, 0.15e-3, 0.2e-3])
-    force = feeds[:, None] * (slope @ [900e6, 300e6, 150e6])[None]
+    force = mean_lines(FEEDS, np.array([900e6, 300e6, 150e6, 0, 0, 0]))
     draw = np.random.default_rng(0).normal(size=force.shape)
     size = {"teeth": 2, "axial_depth": 3e-3}
-    quiet = identification.fit_mean_forces(feeds, force + 0.3 * draw, **size)
+    quiet = identification.fit_mean_forces(FEEDS, force + 0.3 * draw, **size)
     assert all(quiet.identifiable.values()) and abs(quiet.coefficients["K_te"]) < 200
-    loud = identification.fit_mean_forces(feeds, force + 40 * draw, **size)
+    loud = identification.fit_mean_forces(FEEDS, force + 40 * draw, **size)
     assert not any(loud.identifiable.values())
-    two = identification.fit_mean_forces(feeds[:2], force[:2], **size)
+    two = identification.fit_mean_forces(FEEDS[:2], force[:2], **size)
     assert not any(two.identifiable.values())

@@ -37,7 +37,6 @@ from ._force.mean_axis_assignment import (
 )
 from ._force.mean_force import (
     fit_mean_forces as fit_mean_forces,
-    mean_force_matrices as mean_force_matrices,
 )
 from ._modal.frequency_response import fit_frequency_response as fit_frequency_response
 from ._modal.ring_down import (
