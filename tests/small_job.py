@@ -10,6 +10,8 @@ PROGRAM = "G21 G17 G90 G94\nG0 X-9 Y4 Z1\nG1 X-8 F6000\nM2\n"
 # A slot of 20 mm, one deep.
 SLOT = "G21 G17 G90 G94\nG0 X-6 Y5 Z1\nG0 Z-1\nG1 X20 F3000\nG0 Z1\nM2\n"
 SLOT_STOCK = {"stock.upper": ["20 mm", "10 mm", "0 mm"], "stock.spacing": "0.25 mm"}
+# A cut into the side of the block.
+CUTS = "G21 G17 G90 G94\nG0 X-5.2 Y3 Z1\nG0 Z-0.5\nG1 X-2 F3000\nG0 X-6\nM2\n"
 
 # A spindle on turning springs, which the last link of the milling arm holds.
 FLANGE_SPRING = """

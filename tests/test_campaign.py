@@ -16,9 +16,8 @@ from diffmill.campaign import run_campaign
 from diffmill.cli import main
 from diffmill.config import load_campaign
 from diffmill.examples import copy_example
-from small_job import small_job
+from small_job import CUTS, small_job
 
-CUTS = "G21 G17 G90 G94\nG0 X-5.2 Y3 Z1\nG0 Z-0.5\nG1 X-2 F3000\nG0 X-6\nM2\n"
 # No such program: the job is refused without compiling anything.
 REFUSED = """
 job = "job.toml"
@@ -195,58 +194,43 @@ def test_more_draws_leave_the_earlier_ones(folder):
     ("text", "words"),
     [
         ('job = "none.toml"', ("none.toml", "no such file")),
-        ('job = "job.toml"\nspeed = 1', ("speed", "sweep", "draws")),
+        ("speed = 1", ("speed", "sweep", "draws")),
+        ('sweep = [{key = "spindle.sped", values = [1]}]', ("sped", "speed")),
         (
-            'job = "job.toml"\nsweep = [{key = "spindle.sped", values = [1]}]',
-            ("sped", "speed"),
-        ),
-        (
-            'job = "job.toml"\nsweep = [{key = "spindle.speed", values = ["1 m"]}]',
+            'sweep = [{key = "spindle.speed", values = ["1 m"]}]',
             ("'1 m'", "rotational speed"),
         ),
+        ('sweep = [{key = "stock.upper.4", values = ["1 m"]}]', ("'4'", "1 to 3")),
         (
-            'job = "job.toml"\nsweep = [{key = "stock.upper.4", values = ["1 m"]}]',
-            ("'4'", "1 to 3"),
-        ),
-        (
-            'job = "job.toml"\nsweep = [{key = "stock.upper", values = [1]},'
+            'sweep = [{key = "stock.upper", values = [1]},'
             '{key = "stock.upper.1", values = ["1 m"]}]',
             ("stock.upper", "once"),
         ),
+        ('sweep = [{key = "spindle.speed"}]', ("spindle.speed", "values", "factors")),
         (
-            'job = "job.toml"\nsweep = [{key = "spindle.speed"}]',
-            ("spindle.speed", "values", "factors"),
-        ),
-        (
-            'job = "job.toml"\nsweep = [{key = "cutter.runout", factors = [2]}]',
+            'sweep = [{key = "cutter.runout", factors = [2]}]',
             ("cutter.runout", "no value"),
         ),
         (
-            'job = "job.toml"\nsweep = [{key = "program.file", factors = [2]}]',
+            'sweep = [{key = "program.file", factors = [2]}]',
             ("program.file", "part.ngc"),
         ),
+        ('sweep = [{key = "spindle.speed", factors = [-2]}]', ("factors", "-2")),
+        ("draws = 3", ("draws", "[[draw]]")),
         (
-            'job = "job.toml"\nsweep = [{key = "spindle.speed", factors = [-2]}]',
-            ("factors", "-2"),
-        ),
-        ('job = "job.toml"\ndraws = 3', ("draws", "[[draw]]")),
-        (
-            'job = "job.toml"\ndraws = 1\ndraw = [{key = "cutter.runout", '
-            "relative = 0.1}]",
+            'draws = 1\ndraw = [{key = "cutter.runout", relative = 0.1}]',
             ("cutter.runout", "no value"),
         ),
         (
-            'job = "job.toml"\ndraws = 1\ndraw = [{key = "force.K_tc", mean = 1.0}]',
+            'draws = 1\ndraw = [{key = "force.K_tc", mean = 1.0}]',
             ("mean", "deviation"),
         ),
-        (
-            'job = "job.toml"\nstarts = {count = 2, spread = "1 um"}',
-            ("starts", "correct"),
-        ),
+        ('starts = {count = 2, spread = "1 um"}', ("starts", "correct")),
     ],
 )
 def test_a_faulty_campaign_is_refused_at_once(folder, capsys, text, words):
-    (folder / "c.toml").write_text(text)
+    job = "" if text.startswith("job") else 'job = "job.toml"\n'
+    (folder / "c.toml").write_text(job + text)
     assert main(["campaign", "c.toml"]) == 2
     error = capsys.readouterr().err
     assert all(word in error for word in words), error

@@ -13,34 +13,10 @@ import xarray
 
 from diffmill import examples, load_job
 from diffmill.cli import main
+from small_job import CUTS, small_job
 
 ROOT = pathlib.Path(__file__).parents[1]
-PROGRAM = """G21 G17 G90 G94
-G0 X-5.2 Y3 Z1
-G0 Z-0.5
-G1 X-2 F3000
-G0 X-6
-M2
-"""
-JOB = """
-[cutter]
-diameter = "10 mm"
-teeth = 2
-[spindle]
-speed = "8000 rpm"
-[force]
-K_tc = "989.8 N/mm^2"
-K_rc = "337.3 N/mm^2"
-K_ac = "66.9 N/mm^2"
-[stock]
-lower = ["0 mm", "0 mm", "-2 mm"]
-upper = ["6 mm", "6 mm", "0 mm"]
-spacing = "0.5 mm"
-[program]
-file = "part.ngc"
-[robot]
-rigid = true
-"""
+JOB = small_job('diameter = "10 mm"\nteeth = 2')
 
 
 @pytest.fixture
@@ -48,7 +24,7 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path.parent / "cache"))
     (tmp_path / "job.toml").write_text(JOB)
-    (tmp_path / "part.ngc").write_text(PROGRAM)
+    (tmp_path / "part.ngc").write_text(CUTS)
     return tmp_path
 
 
@@ -94,11 +70,11 @@ def test_a_wrong_command_line_is_one_line(capsys, line, found, allowed):
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("teeth = 2", "teeth = two", ("line 4", "'teeth = two'", '"10 mm"')),
-        ("teeth = 2", "teeth = 2\nteeth = 3", ("line 5", "'teeth = 3'", "once")),
-        ("[spindle]", "[cutter]", ("line 5", "'[cutter]'", "once")),
-        ('"8000 rpm"', "8000 rpm", ("line 6", "8000 rpm", '"10 mm"')),
-        ('"8000 rpm"', '"8000 rpm', ("line 6", "quote")),
+        ("teeth = 2", "teeth = two", ("line 3", "'teeth = two'", '"10 mm"')),
+        ("teeth = 2", "teeth = 2\nteeth = 3", ("line 4", "'teeth = 3'", "once")),
+        ("[spindle]", "[cutter]", ("line 4", "'[cutter]'", "once")),
+        ('"8000 rpm"', "8000 rpm", ("line 5", "8000 rpm", '"10 mm"')),
+        ('"8000 rpm"', '"8000 rpm', ("line 5", "quote")),
     ],
 )
 def test_invalid_toml_shows_its_line(folder, capsys, old, new, words):
@@ -111,7 +87,7 @@ def test_invalid_toml_shows_its_line(folder, capsys, old, new, words):
 @pytest.mark.slow
 def test_verbose_names_what_is_compiled(folder, capsys):
     # Of a size that no other test has compiled.
-    (folder / "job.toml").write_text(JOB.replace('"6 mm", "6 mm"', '"7 mm", "4.5 mm"'))
+    (folder / "job.toml").write_text(JOB.replace('"8 mm", "8 mm"', '"7 mm", "4.5 mm"'))
     assert main(["simulate", "job.toml", "--out", "out", "--verbose"]) == 0
     text = capsys.readouterr().err
     assert re.search(r"diffmill \S+ jax \S+ on .*cpu", text, re.IGNORECASE)
@@ -305,7 +281,7 @@ def test_aborted_run_is_kept(folder, capsys):
     job = JOB.replace("[program]", "intervals = [1, 1, 1]\n[program]")
     job = job.replace('"10 mm"', '"3 mm"')
     (folder / "job.toml").write_text(job)
-    program = PROGRAM.replace("X-2 F3000", "X12 F3000").replace("G0 X-6\n", "")
+    program = CUTS.replace("X-2 F3000", "X12 F3000").replace("G0 X-6\n", "")
     (folder / "part.ngc").write_text(program)
     assert main(["simulate", "job.toml", "--out", "out"]) == 1
     error = capsys.readouterr().err

@@ -47,6 +47,10 @@ def line_of(axes, label) -> Any:
     return line
 
 
+def wall_panels(figure) -> list[Any]:
+    return [a for a in panels_of(figure) if a.get_title(loc="left").startswith("wall")]
+
+
 def legend_box(figure) -> Any:
     figure.draw_without_rendering()
     (legend,) = figure.legends
@@ -374,12 +378,7 @@ def test_dexels_of_floor_and_wall_are_drawn_with_their_error():
     dexels = cut_dexels()
     figure = plot_cut_dexels(dexels)
     assert len(panels_of(figure)[0].collections) == 1
-    wall = next(
-        axes
-        for axes in panels_of(figure)
-        if axes.get_title(loc="left").startswith("wall")
-    )
-    scatter = wall.collections[0]
+    scatter = wall_panels(figure)[0].collections[0]
     expected = 1e6 * dexels.wall_error()
     drawn = np.asarray(scatter.get_offsets())[:, 1]
     assert drawn.size == dexels.wall.shape[0] // 2
@@ -399,11 +398,7 @@ def test_an_end_on_another_wall_has_no_error(scale):
     # Errors above the spacing are no sign of another wall where all are as large.
     np.testing.assert_allclose(dexels.wall_error()[:50], error)
     assert np.isnan(dexels.wall_error()[50:]).all()
-    (panel,) = (
-        axes
-        for axes in panels_of(plot_cut_dexels(dexels))
-        if axes.get_title(loc="left").startswith("wall")
-    )
+    (panel,) = wall_panels(plot_cut_dexels(dexels))
     drawn = np.asarray(panel.collections[0].get_offsets())
     np.testing.assert_allclose(np.sort(drawn[:, 1]), np.sort(error) * 1e6)
 
@@ -414,9 +409,7 @@ def test_dexels_without_a_wall_have_one_panel():
     figure = plot_cut_dexels(
         CutDexels(dexels.floor, dexels.floor_ideal, none, none, dexels.spacing)
     )
-    assert not [
-        a for a in panels_of(figure) if a.get_title(loc="left").startswith("wall")
-    ]
+    assert not wall_panels(figure)
 
 
 def test_a_floor_without_an_ideal_one_can_be_drawn():
