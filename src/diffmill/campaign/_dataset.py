@@ -2,7 +2,7 @@
 
 import json
 import re
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -35,7 +35,7 @@ def campaign_dataset(
     Args:
         campaign: The campaign.
         digests: Hash of every job, in the order of the campaign.
-        records: What is kept of each job, by its hash.
+        records: Record of each job, by its hash.
     """
     import xarray
 
@@ -91,57 +91,44 @@ def campaign_dataset(
 
 
 def _varied(campaign: Campaign, index: int) -> dict[str, Any]:
-    """Return what the entries of a dimension stand for, as variables on it."""
+    """Values of the keys that vary along a dimension, as variables on it."""
     variation = campaign.variations[index]
     name, changes = variation.name, variation.changes
     if name == "start":
         return {"start": ((name,), np.arange(len(changes)), {"units": "1"})}
-    found: dict[str, Any] = {}
+    variables: dict[str, Any] = {}
     for key in changes[0]:
         values = [change[key] for change in changes]
-        found |= _variable(re.sub(r"[.-]", "_", key), name, key, values)
+        variables |= _variable(re.sub(r"[.-]", "_", key), name, key, values)
     if variation.factors:
         about = {"units": "1", "long_name": "factor of what the job holds"}
-        found[name] = ((name,), np.array(variation.factors), about)
-    if name not in found:
-        found[name] = ((name,), np.arange(len(changes)), {"units": "1"})
-    return found
+        variables[name] = ((name,), np.array(variation.factors), about)
+    if name not in variables:
+        variables[name] = ((name,), np.arange(len(changes)), {"units": "1"})
+    return variables
 
 
 def _variable(name: str, dim: str, key: str, values: list[Any]) -> dict[str, Any]:
-    """Return the values of a key: numbers in SI where they are, else their text."""
+    """Values of a key as variables: quantities of one kind in SI, others as text."""
+    lists = [value if isinstance(value, list) else [value] for value in values]
     try:
-        found = _numbers(values)
+        quantities = [[base_quantity(one) for one in entry] for entry in lists]
     except ValueError:
+        quantities = []
+    units = {one.unit for entry in quantities for one in entry}
+    if len(units) != 1 or len({len(entry) for entry in quantities}) != 1:
         texts = [v if isinstance(v, str) else json.dumps(v) for v in values]
         return {name: ((dim,), np.array(texts, object), {"key": key})}
-    numbers = found.values
+    numbers = np.array([[one.number for one in entry] for entry in quantities])
+    if not any(isinstance(value, list) for value in values):
+        numbers = numbers[:, 0]
     dims = (dim,) if numbers.ndim == 1 else (dim, f"{name}_entry")
-    attributes = {"key": key, "units": found.unit or "1"}
+    attributes = {"key": key, "units": units.pop() or "1"}
     if name == dim and numbers.ndim > 1:
-        # A coordinate has one value per entry: lists are told by their text.
+        # A coordinate has one value per entry: of lists their text.
         texts = np.array([json.dumps(value) for value in values], object)
         return {
             name: ((dim,), texts, {"key": key}),
             f"{name}_values": (dims, numbers, attributes),
         }
     return {name: (dims, numbers, attributes)}
-
-
-class _Numbers(NamedTuple):
-    """Numbers or lists of them in SI, and their one unit."""
-
-    values: np.ndarray
-    unit: str
-
-
-def _numbers(values: list[Any]) -> _Numbers:
-    """Return numbers or quantities, or lists of them, in SI with their one unit."""
-    lists = [value if isinstance(value, list) else [value] for value in values]
-    found = [[base_quantity(one) for one in entry] for entry in lists]
-    units = {one.unit for entry in found for one in entry}
-    if len(units) != 1 or len({len(entry) for entry in found}) != 1:
-        raise ValueError("no quantities of one kind")
-    array = np.array([[one.number for one in entry] for entry in found])
-    is_list = any(isinstance(value, list) for value in values)
-    return _Numbers(array if is_list else array[:, 0], units.pop())

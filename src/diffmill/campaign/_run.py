@@ -1,4 +1,4 @@
-"""Running the jobs of a campaign on workers, and keeping what each answers."""
+"""Running the jobs of a campaign on workers, and writing their records."""
 
 import contextlib
 import json
@@ -40,7 +40,7 @@ def run_campaign(
             one after the other in this process, whose JAX is then configured.
         scheduler: Address of a Dask scheduler to use instead, "tcp://host:8786"; its
             workers must see the same folders.
-        retry: Whether to run jobs again that have failed.
+        retry: True to run failed jobs again.
         on_progress: Called whenever a job is done.
 
     Returns:
@@ -76,8 +76,8 @@ def run_campaign(
 def _finished_records(
     tasks: list[Task], jobs: pathlib.Path, *, retry: bool
 ) -> dict[str, JobRecord]:
-    """Return the results that need not be computed again."""
-    found = {}
+    """Records of jobs that need not run again, by hash."""
+    records = {}
     for task in tasks:
         try:
             text = (jobs / f"{task.digest}.json").read_text(encoding="utf-8")
@@ -89,15 +89,15 @@ def _finished_records(
         # A worker that was lost says nothing of the job.
         is_final = record["status"] in ("refused", "failed") and not retry
         if is_done or is_final:
-            found[task.digest] = record
-    return found
+            records[task.digest] = record
+    return records
 
 
 @contextlib.contextmanager
 def _answers(
     tasks: list[Task], workers: int | None, scheduler: str | None
 ) -> Iterator[Iterable[tuple[Task, JobRecord]]]:
-    """Yield what the workers answer, in the order in which they are done."""
+    """Yield the records of tasks, in the order in which they are done."""
     if not tasks or (workers == 0 and scheduler is None):
         yield ((task, run_task(task)) for task in tasks)
         return
@@ -106,7 +106,7 @@ def _answers(
 
 
 def _from_workers(client: Any, tasks: list[Task]) -> Iterator[tuple[Task, JobRecord]]:
-    """Yield each task with its answer; where its workers died, with that."""
+    """Yield each task with its record; "lost" where its workers died."""
     from distributed import as_completed
 
     futures = {
@@ -123,7 +123,7 @@ def _from_workers(client: Any, tasks: list[Task]) -> Iterator[tuple[Task, JobRec
 
 
 def _cores() -> int:
-    """Return how many cores this process may use."""
+    """Number of cores that this process may use."""
     from dask.system import CPU_COUNT
 
     return CPU_COUNT
@@ -145,7 +145,7 @@ def _client(workers: int, scheduler: str | None) -> Iterator[Any]:
             n_workers=workers,
             threads_per_worker=1,
             processes=True,
-            # No limit of Dask's: what compiles takes more memory for a while.
+            # No limit of Dask's: a compilation takes more memory for a while.
             memory_limit=None,
             dashboard_address=None,  # pyright: ignore[reportArgumentType]
             silence_logs=logging.CRITICAL,

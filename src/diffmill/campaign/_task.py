@@ -1,4 +1,4 @@
-"""One job of a campaign: what a worker is told, and what it answers."""
+"""One job of a campaign: the task of a worker, and its record."""
 
 import gc
 import hashlib
@@ -6,7 +6,7 @@ import json
 import pathlib
 import time
 from importlib import metadata
-from typing import Any, Literal, NamedTuple, TypedDict
+from typing import Literal, NamedTuple, TypedDict
 
 from .._jax_config import configure_jax
 from .._results_folder import write_whole
@@ -16,11 +16,11 @@ from ..io import PROGRAM_FORMATS
 
 
 class JobRecord(TypedDict):
-    """What is kept of a job, as JSON.
+    """Record of a job, as JSON.
 
     `status` is "done", "failed", "refused" or "lost", in a dataset also "missing", and
-    `message` why; `figures` are in SI, of each case by name; `seconds` is the time of
-    the run.
+    `message` the reason; `figures` are in SI, of each case by name; `seconds` is the
+    time of the run.
     """
 
     status: str
@@ -40,10 +40,10 @@ class Task(NamedTuple):
     Attributes:
         file: The job file.
         changes: Values of the keys that vary.
-        command: What is done with it.
-        allow_outside: Whether the job may name files outside its own folder.
-        digest: Hash of all that the job says.
-        rows_file: Where its own result goes; None to keep only figures.
+        command: Command that runs it.
+        allow_outside: True if the job may name files outside its own folder.
+        digest: Hash of the text of the job and of its files.
+        rows_file: File of its own result; None to keep only figures.
     """
 
     file: pathlib.Path
@@ -59,7 +59,7 @@ def campaign_tasks(campaign: Campaign, folder: pathlib.Path) -> list[Task]:
 
     Args:
         campaign: The campaign.
-        folder: Where results of jobs are kept.
+        folder: Folder of the results of jobs.
     """
     known: dict[pathlib.Path, str] = {}
     tasks = []
@@ -85,17 +85,24 @@ def _digest(
     """Return a hash of a job's text, of the files that it names, and of the version."""
     tables = campaign.changed(changes)
     texts = _texts(tables)
+    paths = [pathlib.PurePath(name) for name in texts]
+    # The data of a KRL program is read with it.
+    data_files = [
+        str(path.with_suffix(".dat"))
+        for path in paths
+        if PROGRAM_FORMATS.get(path.suffix.lower()) == "KRL"
+    ]
     files = {
         name: _content(campaign.job.parent / name, known)
-        for name in (*texts, *_data_files(texts))
+        for name in (*texts, *data_files)
     }
-    told = {
+    content = {
         "command": campaign.command,
         "tables": tables,
-        "files": {name: content for name, content in files.items() if content},
+        "files": {name: digest for name, digest in files.items() if digest},
         "version": metadata.version("diffmill"),
     }
-    text = json.dumps(told, sort_keys=True)
+    text = json.dumps(content, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:32]
 
 
@@ -109,18 +116,8 @@ def _texts(value: object) -> list[str]:
     return [text for one in inner for text in _texts(one)]  # pyright: ignore
 
 
-def _data_files(names: list[str]) -> list[str]:
-    """Return the files that are read with those named: the data of a KRL program."""
-    paths = [pathlib.PurePath(name) for name in names]
-    return [
-        str(path.with_suffix(".dat"))
-        for path in paths
-        if PROGRAM_FORMATS.get(path.suffix.lower()) == "KRL"
-    ]
-
-
 def _content(path: pathlib.Path, known: dict[pathlib.Path, str]) -> str:
-    """Return a hash of a file, or of the result's stock in a folder; else nothing."""
+    """Hash of a file, or of the result's stock in a folder; else an empty text."""
     if path not in known:
         known[path] = ""
         try:
@@ -128,13 +125,13 @@ def _content(path: pathlib.Path, known: dict[pathlib.Path, str]) -> str:
             if file.is_file():
                 known[path] = hashlib.sha256(file.read_bytes()).hexdigest()
         except (OSError, ValueError):
-            # No name of a file, but a quantity or a choice.
+            # The text is no name of a file, but a quantity or a choice.
             pass
     return known[path]
 
 
 def run_task(task: Task) -> JobRecord:
-    """Load and run a job; return its figures, or why there are none."""
+    """Load and run a job; return its figures, or the reason why there are none."""
     configure_jax(job_precision(task.file, task.changes))
     start = time.perf_counter()
     status, message, figures = "done", "", {}
@@ -143,7 +140,7 @@ def run_task(task: Task) -> JobRecord:
     except JobError as error:
         status, message = "refused", "; ".join(error.problems)
     except (OSError, MemoryError) as error:
-        # Of a full disk or memory, which says nothing of the job.
+        # A full disk or memory is no fault of the job.
         status, message = "lost", f"{type(error).__name__}: {error}"
     except Exception as error:
         status, message = "failed", f"{type(error).__name__}: {error}"
@@ -153,8 +150,9 @@ def run_task(task: Task) -> JobRecord:
 
 
 def _figures(task: Task) -> dict[str, dict[str, float]]:
-    """Return the figures of a job by case."""
+    """Figures of a job by case, in SI."""
     from ..correction import correct
+    from ..io import described
     from ..sim import simulate
     from ..viz import case_numbers
 
@@ -162,7 +160,8 @@ def _figures(task: Task) -> dict[str, dict[str, float]]:
     run = simulate if task.command == "simulate" else correct
     dataset = run(job).to_dataset()
     if task.rows_file is not None:
-        _write_rows(dataset.assign_attrs(job=job.name, source=job.source), task)
+        named = described(dataset.assign_attrs(job=job.name, source=job.source))
+        write_whole(task.rows_file, named.to_netcdf(engine="h5netcdf"))
     cases = dataset["case"].values if "case" in dataset.dims else ["predicted"]
     figures = {}
     for index, case in enumerate(str(name) for name in cases):
@@ -179,14 +178,6 @@ def _figures(task: Task) -> dict[str, dict[str, float]]:
         if "max_acceleration" in dataset:
             figures[case]["max_acceleration"] = float(dataset.max_acceleration[index])
     return figures
-
-
-def _write_rows(dataset: Any, task: Task) -> None:
-    """Write a job's own result under its name once it is complete."""
-    from ..io import described
-
-    assert task.rows_file is not None
-    write_whole(task.rows_file, described(dataset).to_netcdf(engine="h5netcdf"))
 
 
 def _drop_programs() -> None:
