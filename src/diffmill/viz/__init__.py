@@ -5,7 +5,7 @@ deviation magnified, deviation and contour error over time, cutting forces befor
 after a low-pass, the chip chart of one tooth, the error of the machined surface and
 the cut ray ends; and writes one HTML report that needs no other file. And a robot: its
 line figure, and its stiffness over the workspace. And an identification: measured
-beside fitted, what is left, the correlation, and what was left out beside its
+beside fitted values, residuals, the correlation, and rows outside the fit beside their
 prediction.
 
 Everything takes the dataset of a result (its layout: `diffmill.io`) or plain NumPy

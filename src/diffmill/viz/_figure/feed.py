@@ -83,10 +83,10 @@ def _draw_tuned(
     tuned: "xarray.Dataset",
 ) -> None:
     """Draw the tuned points and their overrides; the first is the program."""
-    found = tuned.isel(weight=slice(1, None))
+    tuned_points = tuned.isel(weight=slice(1, None))
     curve.plot(
-        np.asarray(found["cycle_time"]),
-        1e6 * np.asarray(found["rms"]),
+        np.asarray(tuned_points["cycle_time"]),
+        1e6 * np.asarray(tuned_points["rms"]),
         color=_TUNED,
         linestyle="--",
         marker="s",
@@ -94,9 +94,9 @@ def _draw_tuned(
         label="uncorrected, tuned override",
     )
     travel = 1e3 * np.asarray(tuned["travel"])
-    count = found.sizes["weight"]
+    count = tuned_points.sizes["weight"]
     for row in range(count):
-        point = found.isel(weight=row)
+        point = tuned_points.isel(weight=row)
         along.plot(
             travel,
             np.asarray(point["feed_override"]),

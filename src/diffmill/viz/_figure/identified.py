@@ -11,7 +11,7 @@ from .._style import GREY, INK, label_colourbar, legend_above, new_figure, quiet
 if TYPE_CHECKING:
     import matplotlib.figure
 
-MEASURED, FITTED, LEFT = "#56B4E9", "#D55E00", "#222222"
+MEASURED, FITTED, MISFIT = "#56B4E9", "#D55E00", "#222222"
 _MOST_POINTS = 4000
 
 
@@ -62,7 +62,7 @@ def plot_force_fit(
             for values, colour, name, thick in (
                 (measured[:, axis], MEASURED, "measured", 1.6),
                 (fitted[:, axis], FITTED, "fitted", 0.8),
-                (measured[:, axis] - fitted[:, axis], LEFT, "measured minus it", 0.6),
+                (measured[:, axis] - fitted[:, axis], MISFIT, "measured minus it", 0.6),
             ):
                 shown = values[rows][::step]
                 axes.plot(t[rows][::step], shown, color=colour, lw=thick, label=name)
@@ -110,7 +110,7 @@ def plot_residual_spectrum(
         axes.axvline(tooth_frequency / flute_count, color="#d9d9d9", lw=0.8, ls=":")
         for values, colour, name in (
             (force, MEASURED, "measured"),
-            (left, LEFT, "left by the fit"),
+            (left, MISFIT, "left by the fit"),
         ):
             level = np.maximum(values[shown, axis], 1e-6)
             axes.semilogy(frequency[shown], level, color=colour, lw=0.6, label=name)
@@ -251,8 +251,8 @@ def plot_mean_forces(
                 label="predicted by the other feeds",
             )
         low.axhline(0.0, color=GREY, lw=0.8)
-        low.vlines(f, 0.0, mean_force[:, axis] - line, color=LEFT, lw=1.0)
-        low.scatter(f, mean_force[:, axis] - line, s=10, color=LEFT)
+        low.vlines(f, 0.0, mean_force[:, axis] - line, color=MISFIT, lw=1.0)
+        low.scatter(f, mean_force[:, axis] - line, s=10, color=MISFIT)
         quiet_axes(
             top, y="mean force [N]" if axis == 0 else "", title=f"F{'xyz'[axis]}"
         )

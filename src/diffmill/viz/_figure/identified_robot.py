@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from .._style import GREY, INK, legend_above, new_figure, quiet_axes
-from .identified import FITTED, LEFT, MEASURED
+from .identified import FITTED, MEASURED, MISFIT
 
 if TYPE_CHECKING:
     import matplotlib.figure
@@ -59,7 +59,7 @@ def plot_joint_values(
     if bound is not None:
         least = ~known & (bound > 0) & np.isfinite(bound)
         axes.scatter(
-            place[least], bound[least], marker="^", s=24, color=LEFT, label="at least"
+            place[least], bound[least], marker="^", s=24, color=MISFIT, label="at least"
         )
     axes.set_xlim(-0.5, len(names) - 0.5)
     axes.set_xticks(place, names)
@@ -100,15 +100,15 @@ def plot_load_residual(
     figure = new_figure(2.6)
     axes = figure.subplots()
     size = 1e6 * np.sqrt(np.nansum(measured[:, :3] ** 2, axis=1))
-    left = 1e6 * np.sqrt(np.nansum(residual[:, :3] ** 2, axis=1))
+    error = 1e6 * np.sqrt(np.nansum(residual[:, :3] ** 2, axis=1))
     place = np.arange(len(rows))
     axes.bar(place - 0.2, size, 0.4, color=MEASURED, label="measured")
     bad = np.isin(place, outliers)
-    axes.bar(place[~bad] + 0.2, left[~bad], 0.4, color=LEFT, label="left by the fit")
+    axes.bar(place[~bad] + 0.2, error[~bad], 0.4, color=MISFIT, label="left by the fit")
     if bad.any():
         axes.bar(
             place[bad] + 0.2,
-            left[bad],
+            error[bad],
             0.4,
             color=FITTED,
             label="left, gross error (not fitted)",
@@ -142,7 +142,7 @@ def plot_ring_down(
     top, low = figure.subplots(2, 1, height_ratios=(2, 1), sharex=True, sharey=True)
     top.plot(time, measured, color=MEASURED, lw=1.6, label="measured")
     top.plot(time, fitted, color=FITTED, lw=0.8, label="fitted")
-    low.plot(time, measured - fitted, color=LEFT, lw=0.7)
+    low.plot(time, measured - fitted, color=MISFIT, lw=0.7)
     quiet_axes(top, y="signal", title=title)
     quiet_axes(low, x="time [s]", y="measured minus fitted")
     legend_above(figure, top)
@@ -176,11 +176,11 @@ def plot_frequency_response(
     figure = new_figure(4.0)
     top, low = figure.subplots(2, 1, height_ratios=(2, 1), sharex=True)
     inside = np.isin(frequency, fitted_frequency)
-    left = np.abs(measured[inside] - fitted)
+    error = np.abs(measured[inside] - fitted)
     top.semilogy(frequency, np.abs(measured), color=MEASURED, lw=1.6, label="measured")
     top.semilogy(fitted_frequency, np.abs(fitted), color=FITTED, lw=0.9, label="fitted")
     top.semilogy(
-        fitted_frequency, left, color=LEFT, lw=0.5, label="size of the difference"
+        fitted_frequency, error, color=MISFIT, lw=0.5, label="size of the difference"
     )
     most, least = float(np.abs(measured).max()), float(np.abs(measured).min())
     top.set_ylim(max(least, 1e-4 * most) / 10, 2 * most)

@@ -30,8 +30,8 @@ def plot_sensitivity(dataset: "xarray.Dataset") -> "matplotlib.figure.Figure":
         The figure: one row per parameter, its name with the root mean square over the
         steps that cut.
     """
-    found = dataset["sensitivity_contour_vector"].transpose("parameter", "step", "axis")
-    values = 1e6 * _CHANGE * np.linalg.norm(np.asarray(found, np.float64), axis=2)
+    maps = dataset["sensitivity_contour_vector"].transpose("parameter", "step", "axis")
+    values = 1e6 * _CHANGE * np.linalg.norm(np.asarray(maps, np.float64), axis=2)
     case = reference_case(dataset)
     time = np.asarray(dataset["time"], np.float64)
     cutting = cutting_of(dataset, case)

@@ -285,18 +285,18 @@ def departure_text(dataset: "xarray.Dataset") -> str:
     of_case = lambda name: values_of(dataset, "commanded", name)
     offset = of_case(case) - of_case(reference_case(dataset))
     cuts = cutting_of(dataset, case)
-    found = []
+    offsets = []
     for rows, where in ((cuts, "where the tool cuts"), (~cuts, "in the air")):
         of_rows = np.where(rows[:, None], np.abs(offset), -1.0)
         row, axis = np.unravel_index(np.argmax(of_rows), of_rows.shape)
         if rows.any():
-            found.append(
+            offsets.append(
                 f"{1e6 * offset[row, axis]:+.3g} {MICROMETRE} in {'xyz'[axis]} {where} "
                 f"({place_text(dataset, case, int(row))})"
             )
     return (
         "The corrected command departs from the program by up to "
-        f"{' and '.join(found)}."
+        f"{' and '.join(offsets)}."
     )
 
 
@@ -349,7 +349,7 @@ def _bounds_reached(
     most = settings.max_acceleration
     if np.isfinite(factor):
         most = min(most, factor * own)
-    found = []
+    reached = []
     for values, bound, name, unit in (
         (offset, float(settings.max_offset), "max_offset", "m"),
         (speed, settings.max_velocity, "max_velocity", "m/s"),
@@ -359,12 +359,12 @@ def _bounds_reached(
             continue
         share = float(np.mean(values >= _REACHED_SHARE * bound))
         if share > 0:
-            found.append(
+            reached.append(
                 f"The command stands at its bound [correction] {name} of {bound:.3g} "
                 f"{unit} in {100 * share:.2g} % of the steps: a wider one may gain "
                 "more."
             )
-    return found
+    return reached
 
 
 def _above_knots(
