@@ -33,7 +33,7 @@ class FinishedRun(NamedTuple):
         dataset: The content of `result.nc`.
         program: The job's program before it was timed, where its block ends are moved.
         surfaces: Surface errors of the solutions; None where they are not computed.
-        chatter: Chatter of the uncorrected path, which has been told; None if there
+        chatter: Chatter of the uncorrected path, which the user knows; None if there
             is none.
     """
 
@@ -52,7 +52,7 @@ def add_analyses(folder: pathlib.Path, run: FinishedRun, progress: Progress) -> 
     Args:
         folder: The folder of the results.
         run: The run.
-        progress: Told what is found.
+        progress: Prints the results.
 
     Returns:
         The exit code: 0, or 1 if one of them failed, which leaves the others.
@@ -77,16 +77,15 @@ def add_analyses(folder: pathlib.Path, run: FinishedRun, progress: Progress) -> 
             with attempts.at(name):
                 dataset = step(run._replace(dataset=dataset), progress)
     finally:
-        # It tells of chatter and scatter; one who interrupts them is told the rest.
+        # It includes chatter and scatter; after an interruption it has the others.
         with attempts.at("verdict"):
             if verdict := summary(dataset, "verdict"):
                 progress.answer(verdict)
 
     def fill(target: pathlib.Path) -> None:
-        kept = _write_pictures(
-            target, run._replace(dataset=described(dataset)), attempts
-        )
-        (target / "result.nc").write_bytes(kept.to_netcdf(engine="h5netcdf"))
+        finished = run._replace(dataset=described(dataset))
+        result = _write_pictures(target, finished, attempts)
+        (target / "result.nc").write_bytes(result.to_netcdf(engine="h5netcdf"))
 
     # The search for chatter has read programs of its own.
     give_back_memory()
@@ -97,23 +96,24 @@ def add_analyses(folder: pathlib.Path, run: FinishedRun, progress: Progress) -> 
 def _with_written(
     folder: pathlib.Path, run: FinishedRun, progress: Progress
 ) -> Dataset:
-    """Return the dataset with the errors that the written programs leave; say them."""
+    """Dataset with the contour errors of the written programs, which are printed."""
     from ._written.corrected import written_errors
 
     contours, lines = written_errors(run.job, run.final, folder, run.program)
-    found = {}
+    attributes = {}
     for name, contour in contours.items():
         file, _, suffix = name.rpartition(".")
         kind = "written" if file == "corrected" else file
-        found[f"{kind}_rms_{suffix}"] = contour.rms
-        found[f"{kind}_max_{suffix}"] = contour.max
-    if not found:
-        found["written_not_run"] = 1
-    return _with_notes(run.dataset.assign_attrs(found), _said(lines, progress))
+        attributes[f"{kind}_rms_{suffix}"] = contour.rms
+        attributes[f"{kind}_max_{suffix}"] = contour.max
+    if not attributes:
+        attributes["written_not_run"] = 1
+    dataset = run.dataset.assign_attrs(attributes)
+    return _with_notes(dataset, _printed(lines, progress))
 
 
 def _with_contacts(run: FinishedRun, progress: Progress) -> Dataset:
-    """Return the dataset with the holder's contacts; say where it and the shank are."""
+    """Dataset with the contacts of holder and shank, which are printed."""
     from ..config import tool_notes
     from ..sim import ToolContacts
 
@@ -129,29 +129,29 @@ def _with_contacts(run: FinishedRun, progress: Progress) -> Dataset:
             checks_rapids=False,
         )
         dataset = dataset.assign(contacts.to_dataset().data_vars)
-    found = tool_notes(job.path, np.asarray(solution.shank_volume), contacts)
-    lines = [f"warning: {line}" for line in found]
-    return _with_notes(dataset, _said(lines, progress))
+    notes = tool_notes(job.path, np.asarray(solution.shank_volume), contacts)
+    lines = [f"warning: {note}" for note in notes]
+    return _with_notes(dataset, _printed(lines, progress))
 
 
 def _with_stability(run: FinishedRun, progress: Progress) -> Dataset:
-    """Return the dataset with what the search for chatter finds; say what is new."""
-    dataset, found = run.dataset, run.chatter
-    if found is None:
-        found = job_stability(run.job, run.final)
-        if found is None:
+    """Dataset with the growth of vibrations, which is printed unless it was before."""
+    dataset, growth = run.dataset, run.chatter
+    if growth is None:
+        growth = job_stability(run.job, run.final)
+        if growth is None:
             return dataset
-        _said(stability_lines(found), progress)
-    dataset = _with_notes(dataset, stability_lines(found))
+        _printed(stability_lines(growth), progress)
+    dataset = _with_notes(dataset, stability_lines(growth))
     return dataset.assign_attrs(
-        stability_largest_radius=float(found.radius[found.strongest]),
-        stability_frequency=float(found.frequency[found.strongest]),
-        stability_has_chatter=int(found.warning() is not None),
+        stability_largest_radius=float(growth.radius[growth.strongest]),
+        stability_frequency=float(growth.frequency[growth.strongest]),
+        stability_has_chatter=int(growth.warning() is not None),
     )
 
 
 def job_stability(job: "Job", solution: Solution) -> "Stability | None":
-    """Return the growth of vibrations as a job asks for it.
+    """Growth of vibrations, by the method of the job.
 
     None where nothing is suspected, and of a path in the air.
     """
@@ -160,21 +160,21 @@ def job_stability(job: "Job", solution: Solution) -> "Stability | None":
     check = job.simulation.stability
     if check == "none" or not np.asarray(solution.is_cutting).any():
         return None
-    look = Stability.where_suspected if check == "quick" else stability
-    return look(job, solution)
+    analyse = Stability.where_suspected if check == "quick" else stability
+    return analyse(job, solution)
 
 
-def stability_lines(found: "Stability") -> list[str]:
-    """Return what is said of the growth of vibrations."""
-    warning = found.warning()
+def stability_lines(growth: "Stability") -> list[str]:
+    """Lines on the growth of vibrations."""
+    warning = growth.warning()
     return [
-        f"warning: {warning}" if warning else f"stability: {found.note()}",
-        f"stability: {found.visibility()}",
+        f"warning: {warning}" if warning else f"stability: {growth.note()}",
+        f"stability: {growth.visibility()}",
     ]
 
 
 def _with_sensitivity(run: FinishedRun, progress: Progress) -> Dataset:
-    """Return the dataset with the sensitivity of the final command, if asked for."""
+    """Dataset with the sensitivity of the final command, if the job asks for it."""
     from ..sim import sensitivity
 
     if not run.job.simulation.has_sensitivity:
@@ -185,27 +185,27 @@ def _with_sensitivity(run: FinishedRun, progress: Progress) -> Dataset:
 
 
 def _with_mismatch(run: FinishedRun, progress: Progress) -> Dataset:
-    """Return the dataset with what the correction leaves beside its model; say it."""
+    """Dataset with the error of the command beside the model, which is printed."""
     from ..sim import mismatch
 
     if "corrected_case" not in run.dataset.attrs:
         return run.dataset
     progress.say("other machines: the command where the model is off")
-    found = mismatch(run.job, run.final)
-    left = lambda rms: f"{1e6 * rms:.3g} um rms" if np.isfinite(rms) else "no result"
+    mismatches = mismatch(run.job, run.final)
+    text = lambda rms: f"{1e6 * rms:.3g} um rms" if np.isfinite(rms) else "no result"
     lines = [
         f"with {x.share:.0%} less or more {x.kind} than in the model the command "
-        f"leaves {left(x.less)} or {left(x.more)}"
-        for x in found
+        f"leaves {text(x.less)} or {text(x.more)}"
+        for x in mismatches
     ]
-    attributes = {f"mismatch_rms_{x.kind}": x.worse for x in found}
-    attributes["mismatch_share"] = found[0].share
-    lines = _said(lines, progress)
+    attributes = {f"mismatch_rms_{x.kind}": x.worse for x in mismatches}
+    attributes["mismatch_share"] = mismatches[0].share
+    lines = _printed(lines, progress)
     return _with_notes(run.dataset.assign_attrs(attributes), lines)
 
 
 def _with_expected_error(run: FinishedRun, progress: Progress) -> Dataset:
-    """Return the dataset with the error under the scatter of the model, if given."""
+    """Dataset with the expected error under the scatter of the model, if given."""
     from ..sim import error_band
 
     if run.job.simulation.scatter is None:
@@ -218,19 +218,20 @@ def _with_expected_error(run: FinishedRun, progress: Progress) -> Dataset:
         f"expected error: {band.rms * 1e6:.2f} um rms where the tool cuts, with the "
         f"scatter of the model; most by {shares} um"
     )
-    found = band.to_dataset()
-    dataset = run.dataset.assign(found.data_vars).assign_attrs(found.attrs)
-    return _with_notes(dataset, _said([line], progress))
+    added = band.to_dataset()
+    dataset = run.dataset.assign(added.data_vars).assign_attrs(added.attrs)
+    return _with_notes(dataset, _printed([line], progress))
 
 
-def _said(lines: list[str], progress: Progress) -> list[str]:
+def _printed(lines: list[str], progress: Progress) -> list[str]:
+    """Lines as they are, which it prints."""
     for line in lines:
         progress.say(line)
     return lines
 
 
 def _with_notes(dataset: Dataset, lines: list[str]) -> Dataset:
-    """Return a dataset whose attributes hold further notes."""
+    """Dataset whose attributes hold further notes."""
     notes = [dataset.attrs["notes"]] if "notes" in dataset.attrs else []
     return dataset.assign_attrs(notes="\n".join([*notes, *lines])) if lines else dataset
 

@@ -1,4 +1,4 @@
-"""Running a campaign: what it is about to do, how far it is, what came out."""
+"""Running a campaign: its plan, its progress, its results."""
 
 import importlib.util
 import pathlib
@@ -18,12 +18,12 @@ _MOST_LINES = 5
 
 
 class Workers(NamedTuple):
-    """Where jobs run.
+    """Processes that run the jobs.
 
     Attributes:
         processes: Worker processes to start; None for one per core.
         scheduler: Address of a Dask scheduler to use instead, or None.
-        retry: Whether jobs that have failed run again.
+        retry: True to run failed jobs again.
     """
 
     processes: int | None
@@ -44,7 +44,7 @@ def run_campaign_file(
 
     Args:
         file: The campaign's file.
-        workers: Where its jobs run.
+        workers: The processes that run its jobs.
         out: Folder for the results, or None for `./<file>-campaign`.
         force: Whether every job runs anew.
         progress: Shows how far it is.
@@ -59,7 +59,8 @@ def run_campaign_file(
     with bad_input():
         campaign = load_campaign(file, allow_outside=allow_outside)
         _check_folder(folder)
-    if workers.processes is None and workers.scheduler is None and not _has_dask():
+    has_dask = importlib.util.find_spec("distributed") is not None
+    if workers.processes is None and workers.scheduler is None and not has_dask:
         workers = workers._replace(processes=0)
         progress.say(
             "note: the jobs run one after the other: with Dask, the extra `campaign` "
@@ -69,12 +70,14 @@ def run_campaign_file(
     def tell(done: int, count: int, status: str) -> None:
         progress.update(f"{done} of {count} jobs have a result", done / count)
 
-    left = f"{folder} keeps the jobs that are done: the same command goes on from there"
+    remains = (
+        f"{folder} keeps the jobs that are done: the same command goes on from there"
+    )
     jobs = folder / "jobs"
     try:
         with (
             locked_folder(jobs) as unlocked,
-            interruption_leaves(lambda: left),
+            interruption_leaves(lambda: remains),
             progress,
         ):
             if unlocked:
@@ -84,8 +87,8 @@ def run_campaign_file(
                 remove_parts(jobs)
                 remove_parts(folder, but=ResultsFolder.of(jobs).lock)
             if force:
-                for kept in jobs.glob("*.json"):
-                    kept.unlink()
+                for record in jobs.glob("*.json"):
+                    record.unlink()
             dataset = run_campaign(
                 campaign,
                 folder,
@@ -104,10 +107,6 @@ def run_campaign_file(
     return int(dataset.attrs["incomplete"])
 
 
-def _has_dask() -> bool:
-    return importlib.util.find_spec("distributed") is not None
-
-
 def _check_folder(folder: pathlib.Path) -> None:
     """Refuse a folder of something else."""
     if folder.is_file():
@@ -122,7 +121,7 @@ def _check_folder(folder: pathlib.Path) -> None:
 
 
 def _place_of_least(campaign: "Campaign", values: "xarray.DataArray") -> str:
-    """Return where in the grid the least of some values stands, in the file's words."""
+    """Place of the least value in the grid, in the words of the file."""
     if not values.dims or not values.notnull().any():
         return ""
     least = {str(name): int(at) for name, at in values.argmin([*values.dims]).items()}
@@ -142,26 +141,16 @@ def _place_of_least(campaign: "Campaign", values: "xarray.DataArray") -> str:
     return f", the least at {', '.join(named)}"
 
 
-def _idle_lines(error: "xarray.DataArray") -> list[str]:
-    """Return a note for each variation that changes nothing at all."""
-    return [
-        f"note: {name} changes nothing, every value gives the same error: `diffmill "
-        "check` of the job may say why, as of a feed where the program has its own"
-        for name, size in error.sizes.items()
-        if name != "case" and size > 1 and bool((error == error.isel({name: 0})).all())
-    ]
-
-
 def _lines(
     campaign: "Campaign", dataset: "xarray.Dataset", folder: pathlib.Path
 ) -> list[str]:
-    """Return what came out: how many jobs, the range of the error, what failed."""
+    """Lines on the counts of jobs, the range of the error and the failures."""
     states = dataset.status.attrs["flag_meanings"].split()
-    found = dataset.status.values.ravel()
-    counts = [f"{(found == i).sum()} {name}" for i, name in enumerate(states)]
+    status = dataset.status.values.ravel()
+    counts = [f"{(status == i).sum()} {name}" for i, name in enumerate(states)]
     counts = [text for text in counts if not text.startswith("0 ")]
     sizes = ", ".join(f"{name} {size}" for name, size in dataset.status.sizes.items())
-    lines = [f"{campaign.name}: {found.size} jobs ({sizes}): {', '.join(counts)}"]
+    lines = [f"{campaign.name}: {status.size} jobs ({sizes}): {', '.join(counts)}"]
     if "error_rms" in dataset:
         error = dataset.error_rms
         for case in dataset["case"].values if "case" in error.dims else [None]:
@@ -171,7 +160,14 @@ def _lines(
                 f"contour error rms{name}: {float(values.min()):.2f} to "
                 f"{float(values.max()):.2f} um{_place_of_least(campaign, values)}"
             )
-        lines += _idle_lines(error)
+        for name, size in error.sizes.items():
+            is_same = bool((error == error.isel({name: 0})).all())
+            if name != "case" and size > 1 and is_same:
+                lines.append(
+                    f"note: {name} changes nothing, every value gives the same error: "
+                    "`diffmill check` of the job may say why, as of a feed where the "
+                    "program has its own"
+                )
     failed = [str(text) for text in dataset.message.values.ravel() if text]
     for text in list(dict.fromkeys(failed))[:_MOST_LINES]:
         lines.append(f"{failed.count(text)} of them: {text[:300]}")

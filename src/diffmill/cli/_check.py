@@ -30,12 +30,12 @@ def describe_file(
     allow_outside: bool,
     tool_axis: Literal["x", "y", "z", "-x", "-y", "-z"] | None = None,
 ) -> list[str]:
-    """Return lines that describe a file.
+    """Lines that describe a file.
 
     Args:
         file: A job, a campaign, a file for `diffmill identify`, a program or a recorded
             path, told by its suffix, and a TOML file by its keys.
-        allow_outside: Whether a job may name files outside its folder.
+        allow_outside: True if a job may name files outside its folder.
         tool_axis: Axis of the tool of a program that points from the shank to the tip,
             as `[program] tool_axis` of a job.
 
@@ -46,9 +46,15 @@ def describe_file(
     if suffix == ".toml" and tool_axis is not None:
         raise ValueError(f"{file}: --tool-axis is for programs; a job has a key for it")
     if suffix == ".toml":
-        tables = _tables(file)
+        tables = tables_of(file)
         if "kind" in tables:
-            return _describe_identification(file, allow_outside=allow_outside)
+            configure_jax()
+            from ..config import load_identification
+            from ._identify.identify import in_words
+
+            study = load_identification(file, allow_outside=allow_outside)
+            first = f"{file}: a file for `diffmill identify` without faults"
+            return [first, *in_words(study).reading(study)]
         if isinstance(tables.get("job"), str):
             return _describe_campaign(file, allow_outside=allow_outside)
         return _describe_job(file, allow_outside=allow_outside)
@@ -67,29 +73,25 @@ def describe_file(
                 "path (xarray opens results)"
             )
     program = read_program(file, setup=ProgramSetup(tool_axis=tool_axis))
-    if isinstance(program, Path):
-        return _describe_path(file, program)
-    return _describe_program(file, program)
+    if not isinstance(program, Path):
+        return _describe_program(file, program)
+    time = np.asarray(program.time)
+    return [
+        f"{file}: a recorded path without faults",
+        f"  rows: {program.step_count} in {time[-1] - time[0]:.3f} s, of which "
+        f"{int(np.sum(program.is_rapid))} rapid",
+        _path_axis_line(program),
+        *_extents(np.asarray(program.positions)),
+        *(f"  note: {note}" for note in program.notes),
+    ]
 
 
-def _tables(file: pathlib.Path) -> dict[str, object]:
-    """Return the tables of a TOML file; none if it is faulty, which is said later."""
+def tables_of(file: pathlib.Path) -> dict[str, object]:
+    """Tables of a TOML file; none if it is faulty, which its reader reports."""
     try:
         return parse_toml(file.read_bytes())
     except (OSError, ValueError):
         return {}
-
-
-def _describe_identification(file: pathlib.Path, *, allow_outside: bool) -> list[str]:
-    configure_jax()
-    from ..config import load_identification
-    from ._identify.identify import in_words
-
-    study = load_identification(file, allow_outside=allow_outside)
-    return [
-        f"{file}: a file for `diffmill identify` without faults",
-        *in_words(study).reading(study),
-    ]
 
 
 def _describe_campaign(file: pathlib.Path, *, allow_outside: bool) -> list[str]:
@@ -118,7 +120,7 @@ def _describe_campaign(file: pathlib.Path, *, allow_outside: bool) -> list[str]:
 def _describe_job(file: pathlib.Path, *, allow_outside: bool) -> list[str]:
     from ..config import check_tables
 
-    # What the tables tell is told before what takes seconds is imported.
+    # Faults of the tables come before imports that take seconds.
     check_tables(file)
     from ..config import job_precision, load_job
 
@@ -149,7 +151,7 @@ def _describe_job(file: pathlib.Path, *, allow_outside: bool) -> list[str]:
 
 
 def _time_lines(timing: "ProgramTiming") -> list[str]:
-    """Return lines that say what a program takes its time for."""
+    """Lines on the causes of the time of a program."""
     time = timing.cycle_time
     lost = "; ".join(f"{cause} {seconds:.3f} s" for cause, seconds in time.lost)
     lines = [
@@ -183,7 +185,7 @@ def _describe_program(file: pathlib.Path, program: "Program") -> list[str]:
 
 
 def _describe_moves(program: "Program") -> list[str]:
-    """Return lines that describe the moves of one tool."""
+    """Lines that describe the moves of one tool."""
     moves, part = program.timed_moves, program.sections[0]
     kinds = collections.Counter(_kind(move) for move in moves)
     names = ("rapid", "line", "arc", "rest")
@@ -215,7 +217,7 @@ def _describe_moves(program: "Program") -> list[str]:
 
 
 def _kind(move: "Move") -> str:
-    """Return what kind of motion a move is."""
+    """Kind of motion: "rapid", "arc", "line" or "rest"."""
     if move.is_rapid:
         return "rapid"
     if move.centre is not None:
@@ -224,32 +226,20 @@ def _kind(move: "Move") -> str:
 
 
 def _duration(move: "Move") -> float:
-    """Return how long a move at a feed takes at least [s]; 0 where it has no feed."""
+    """Least time of a move at a feed [s]; 0 where it has no feed."""
     if move.duration is not None:
         return move.duration
     return move.length / move.feed if move.feed else 0.0
 
 
-def _describe_path(file: pathlib.Path, path: "Path") -> list[str]:
-    time = np.asarray(path.time)
-    return [
-        f"{file}: a recorded path without faults",
-        f"  rows: {path.step_count} in {time[-1] - time[0]:.3f} s, of which "
-        f"{int(np.sum(path.is_rapid))} rapid",
-        _path_axis_line(path),
-        *_extents(np.asarray(path.positions)),
-        *(f"  note: {note}" for note in path.notes),
-    ]
-
-
 def _path_axis_line(path: "Path") -> str:
-    """Return the line of the tool axis, of the rows at a feed if there are any."""
+    """Line of the tool axis, of the rows at a feed if there are any."""
     axes, is_cut = np.asarray(path.axes, np.float64), ~np.asarray(path.is_rapid, bool)
     return _axis_line(axes[is_cut] if is_cut.any() else axes)
 
 
 def _axis_line(axes: Float[np.ndarray, "row 3"]) -> str:
-    """Return a line about tool axes: the first, and the largest lean from +z."""
+    """Line on tool axes: the first, and the largest lean from +z."""
     lean = np.degrees(np.arctan2(np.hypot(axes[:, 0], axes[:, 1]), axes[:, 2]))
     x, y, z = np.round(axes[0], 4) + 0.0
     least, most = float(lean.min()), float(lean.max())
@@ -264,7 +254,7 @@ def _axis_line(axes: Float[np.ndarray, "row 3"]) -> str:
 
 
 def _pose_line(name: str, position: "Point", rpy: "Point") -> str:
-    """Return a line with a pose that a program states."""
+    """Line with a pose that a program states."""
     x, y, z = (1e3 * value for value in position)
     roll, pitch, yaw = (math.degrees(angle) + 0.0 for angle in rpy)
     angles = f"{roll:g}, {pitch:g}, {yaw:g} deg"
@@ -272,6 +262,6 @@ def _pose_line(name: str, position: "Point", rpy: "Point") -> str:
 
 
 def _extents(points: Float[np.ndarray, "point 3"]) -> Sequence[str]:
-    """Return the least and greatest coordinate of points, a line per axis."""
+    """Least and greatest coordinate of points, a line per axis."""
     low, high = points.min(axis=0) * 1e3, points.max(axis=0) * 1e3
     return [f"  {a}: {low[i]:.3f} to {high[i]:.3f} mm" for i, a in enumerate("xyz")]

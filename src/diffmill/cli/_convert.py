@@ -9,7 +9,7 @@ from .._results_folder import ResultsFolder, write_whole
 from ._session.errors import BadInput
 
 # Spindle speeds that a note lists.
-_LISTED = 8
+_LISTED_SPEEDS = 8
 
 
 def convert_file(
@@ -26,7 +26,7 @@ def convert_file(
     Args:
         source: The program or the path.
         target: The file to write.
-        tolerance: How far the written motion may lie beside the read one [m].
+        tolerance: Largest distance of the written motion from the read one [m].
         force: Whether a file that is there may be replaced.
         is_spline: Whether a path becomes a spline.
         tool_axis: Axis of the robot's tool that points from the shank to the tip, in a
@@ -71,8 +71,15 @@ def convert_file(
             program = program.of_tool()
             tool = program.sections[0].tool
             lines.append(f"note: only tool {tool} is written, others are left out")
-        if target.suffix.lower() != ".csv":
-            lines += _speed_notes(program.spindle_speeds)
+        speeds = [f"{speed * 30 / math.pi:g}" for speed in program.spindle_speeds]
+        if target.suffix.lower() != ".csv" and len(speeds) > 1:
+            first, *others = speeds
+            is_long = len(others) > _LISTED_SPEEDS
+            listed = ", ".join(others[:_LISTED_SPEEDS]) + ", ..." * is_long
+            lines.append(
+                f"note: only the first spindle speed, {first} rpm, is written; not "
+                f"{listed}"
+            )
         program = dataclasses.replace(program, name=target.name)
     header = [f"converted from {source.name} by diffmill"]
     text = write_program(
@@ -86,14 +93,3 @@ def convert_file(
     with ResultsFolder(target, str(target)).locked():
         write_whole(target, text.encode())
     return [f"wrote {target}", *lines]
-
-
-def _speed_notes(speeds: tuple[float, ...]) -> list[str]:
-    """Return a note if a program sets several spindle speeds, of which one is kept."""
-    if len(speeds) < 2:
-        return []
-    first, *others = (f"{speed * 30 / math.pi:g}" for speed in speeds)
-    listed = ", ".join(others[:_LISTED]) + ", ..." * (len(others) > _LISTED)
-    return [
-        f"note: only the first spindle speed, {first} rpm, is written; not {listed}"
-    ]

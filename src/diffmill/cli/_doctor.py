@@ -1,4 +1,4 @@
-"""Looking at the installation: versions, devices, cache, and a test against physics."""
+"""The installation: versions, devices, cache, and a test against physics."""
 
 import importlib.util
 import math
@@ -7,7 +7,6 @@ import pathlib
 import platform
 import sys
 import time
-from collections.abc import Callable
 from importlib import metadata
 from typing import NamedTuple
 
@@ -15,7 +14,7 @@ from .._jax_config import cache_folder, configure_jax
 from ._session.progress import Progress
 
 _PACKAGES = ("diffmill", "jax", "jaxlib", "numpy", "scipy", "equinox", "xarray")
-# What an optional module is for.
+# Extra of diffmill that brings an optional module.
 _EXTRAS = {
     "distributed": "campaign",
     "nptdms": "forces",
@@ -30,9 +29,9 @@ class Check(NamedTuple):
     """A quantity beside what it must be.
 
     Attributes:
-        name: What is compared.
-        found: What diffmill computes.
-        expected: What a closed form says.
+        name: Name of the quantity.
+        found: Value that diffmill computes.
+        expected: Value of a closed form.
         tolerance: Relative difference that is allowed.
     """
 
@@ -43,30 +42,41 @@ class Check(NamedTuple):
 
     @property
     def is_good(self) -> bool:
-        """Return whether the two agree; a number that is not finite does not."""
+        """True if the two agree; a number that is not finite does not."""
         error = abs(self.found - self.expected)
         return error <= self.tolerance * abs(self.expected)
+
+    @property
+    def line(self) -> str:
+        """Line of the report."""
+        return (
+            f"{'ok' if self.is_good else _FAILED} {self.name}: {self.found:.6g}, "
+            f"expected {self.expected:.6g} within {100 * self.tolerance:g} %"
+        )
 
 
 def run_doctor(*, is_quiet: bool) -> int:
     """Print what is installed and test it; return the exit code, 1 for a failed test.
 
     Args:
-        is_quiet: Whether only what fails is printed.
+        is_quiet: True to print failures alone.
     """
     configure_jax()
     progress = Progress(is_quiet=is_quiet)
-    told, failed = _installed(), 0
+    report, failed = _installed(), 0
     with progress:
         for test in (arm_checks, slot_checks):
             about = (test.__doc__ or "").splitlines()[0]
             progress.update(f"self-test: {about}")
             start = time.perf_counter()
-            lines = _attempt(test)
+            try:
+                lines = [check.line for check in test()]
+            except Exception as error:
+                lines = [f"{_FAILED} {test.__name__}: {type(error).__name__}: {error}"]
             failed += any(line.startswith(_FAILED) for line in lines)
-            told += [*lines, f"that took {time.perf_counter() - start:.1f} s"]
-    told.append("found something wrong" if failed else "found nothing wrong")
-    for line in told:
+            report += [*lines, f"that took {time.perf_counter() - start:.1f} s"]
+    report.append("found something wrong" if failed else "found nothing wrong")
+    for line in report:
         if line.startswith(_FAILED):
             print(f"error: {line}", file=sys.stderr)
         elif not is_quiet:
@@ -74,21 +84,8 @@ def run_doctor(*, is_quiet: bool) -> int:
     return int(failed > 0)
 
 
-def _attempt(test: Callable[[], list[Check]]) -> list[str]:
-    """Return a line for every check of a test."""
-    try:
-        checks = test()
-    except Exception as error:
-        return [f"{_FAILED} {test.__name__}: {type(error).__name__}: {error}"]
-    return [
-        f"{'ok' if check.is_good else _FAILED} {check.name}: {check.found:.6g}, "
-        f"expected {check.expected:.6g} within {100 * check.tolerance:g} %"
-        for check in checks
-    ]
-
-
 def _installed() -> list[str]:
-    """Return lines about versions, devices, extras and the compile cache."""
+    """Lines about versions, devices, extras and the compile cache."""
     import jax
 
     versions = ", ".join(f"{name} {metadata.version(name)}" for name in _PACKAGES)
@@ -108,7 +105,7 @@ def _installed() -> list[str]:
 
 
 def _cache_line() -> str:
-    """Return where compiled programs are kept, how many, and how large they are."""
+    """Line on the folder of compiled programs, their number and size."""
     given = os.environ.get("JAX_COMPILATION_CACHE_DIR")
     folder = cache_folder() if given is None else pathlib.Path(given)
     if not folder.is_dir():
@@ -181,7 +178,7 @@ def slot_checks() -> list[Check]:
         8000 * 2 * math.pi / 60,
         axial_depth=1.5e-3,
     )
-    found = np.asarray(process.force)[count // 2 :].mean(axis=0)
+    mean_force = np.asarray(process.force)[count // 2 :].mean(axis=0)
     expected = (
         -2 * a * (K_rc * c / 4 + K_re / math.pi),
         2 * a * (K_tc * c / 4 + K_te / math.pi),
@@ -189,5 +186,5 @@ def slot_checks() -> list[Check]:
     )
     return [
         Check(f"force of a slot along {axis} [N]", float(force), value, 0.02)
-        for axis, force, value in zip("xyz", found, expected, strict=True)
+        for axis, force, value in zip("xyz", mean_force, expected, strict=True)
     ]

@@ -1,4 +1,4 @@
-"""How long a job will compute, by counts of what its rows ask for."""
+"""Expected time of a job, by counts of discs and edge elements in its rows."""
 
 from typing import TYPE_CHECKING
 
@@ -19,7 +19,7 @@ _PARAMETER_RUNS = 3
 
 
 def expected_time_line(job: "Job") -> str:
-    """Return a line on how long `simulate` and `correct` will compute.
+    """Line on the expected time of `simulate` and `correct`.
 
     Args:
         job: The job.
@@ -38,12 +38,12 @@ def expected_time_line(job: "Job") -> str:
 
 
 def expected_campaign_line(job: "Job", command: str, count: int) -> str:
-    """Return a line on how long a campaign will compute on one worker.
+    """Line on the expected time of a campaign on one worker.
 
     Args:
         job: One of its jobs.
-        command: What is done with each.
-        count: How many there are.
+        command: "simulate" or "correct".
+        count: Number of jobs.
     """
     each = _run_time(job)
     if command == "correct":
@@ -57,20 +57,20 @@ def expected_campaign_line(job: "Job", command: str, count: int) -> str:
 
 
 def _correction_time(job: "Job", run: float) -> float:
-    """Return the time of a correction, from that of a simulation [s]."""
-    known = job.correction.uncertainty
-    members = 1 if known is None else known.draws
+    """Time of a correction, from that of a simulation [s]."""
+    uncertainty = job.correction.uncertainty
+    members = 1 if uncertainty is None else uncertainty.draws
     runs = _OTHER_RUNS + _STEP_RUNS * job.correction.max_steps * members
     return _COUPLED * runs * run
 
 
 def _run_time(job: "Job") -> float:
-    """Return the time that a simulation is expected to take [s]."""
+    """Time of a simulation [s]."""
     return 1e-3 * _row_time(job) * job.path.step_count
 
 
 def _row_time(job: "Job") -> float:
-    """Return the time of a row [ms]."""
+    """Time of a row [ms]."""
     from ..process import EdgeElementsInSpace, FrozenStock
     from ..sim import MachiningProblem
 
@@ -87,7 +87,7 @@ def _row_time(job: "Job") -> float:
 
 
 def _spelled(seconds: float) -> str:
-    """Return a time in a unit that suits it."""
+    """Time in a unit that suits it, as text."""
     if seconds < 90:
         return f"{max(seconds, 1.0):.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

@@ -24,7 +24,6 @@ from ._session.progress import Progress
 if TYPE_CHECKING:
     from .._job import Job
     from ..correction import FeedTradeoff, TunedFeed
-    from ..toolpath import Path
 
 # xarray is imported when there is something to write.
 Dataset: TypeAlias = Any
@@ -38,7 +37,7 @@ class FeedRequest(NamedTuple):
     Attributes:
         overrides: Factors of the feed of the whole program.
         weights: Weights of the time, for overrides along the path; may be empty.
-        corrects: Whether the program is corrected at each of the factors too.
+        corrects: True to correct the program at each of the factors too.
     """
 
     overrides: tuple[float, ...]
@@ -59,7 +58,7 @@ def run_feed(
 
     Args:
         file: The job file.
-        request: What is to be tried.
+        request: The feeds to try.
         out: Folder for the results, or None for `./<job>-feed`.
         force: Whether results that are there are replaced.
         progress: Shows how far it is.
@@ -92,13 +91,12 @@ def _tune(
     *,
     force: bool,
 ) -> int:
-    """Compute, and write what is found; return the exit code."""
+    """Compute and write the results; return the exit code."""
     from .._result import SimulationFailed
 
     try:
         with progress:
-            found = _compute(job, request, progress)
-            tradeoff, tuned = found.tradeoff, found.tuned
+            tradeoff, tuned, tuning_failure = _compute(job, request, progress)
     except SimulationFailed as failure:
         print(printable(f"error: the run failed: {failure}"), file=sys.stderr)
         print("nothing could be kept", file=sys.stderr)
@@ -107,9 +105,9 @@ def _tune(
     folder = ResultsFolder.of(folder).still_free(force=force)
     code = _write(folder, job, tradeoff, tuned, force=force)
     progress.say(f"results: {folder}")
-    if found.failure:
+    if tuning_failure:
         print(
-            f"error: the feed could not be tuned: {found.failure}; {folder} has the "
+            f"error: the feed could not be tuned: {tuning_failure}; {folder} has the "
             "rest",
             file=sys.stderr,
         )
@@ -118,7 +116,7 @@ def _tune(
 
 
 def _check(job: "Job", file: pathlib.Path, request: FeedRequest) -> None:
-    """Refuse what cannot be tried, before anything runs."""
+    """Refuse a request that cannot be run, before anything runs."""
     from .._toml import JobError
     from ..toolpath import PathFeed
 
@@ -152,22 +150,15 @@ def _check(job: "Job", file: pathlib.Path, request: FeedRequest) -> None:
         raise BadInput(f"override {least:g}: {error}") from error
 
 
-class _FeedRun(NamedTuple):
-    """A job at all feeds, and with its feed tuned, if that was asked for.
+def _compute(
+    job: "Job", request: FeedRequest, progress: Progress
+) -> "tuple[FeedTradeoff, TunedFeed | None, str]":
+    """Run the job at all feeds, and tune its feed if that was asked for.
 
-    Attributes:
-        tradeoff: The job at all feeds.
-        tuned: With its feed tuned, if that was asked for and did not fail.
-        failure: Why tuning failed; "" if it did not.
+    Returns:
+        The job at all feeds; with its feed tuned, or None; the reason why tuning
+        failed, or an empty text.
     """
-
-    tradeoff: "FeedTradeoff"
-    tuned: "TunedFeed | None"
-    failure: str = ""
-
-
-def _compute(job: "Job", request: FeedRequest, progress: Progress) -> _FeedRun:
-    """Run the job at all feeds."""
     from .._result import SimulationFailed
     from ..correction import feed_tradeoff, tune_feed
 
@@ -179,7 +170,7 @@ def _compute(job: "Job", request: FeedRequest, progress: Progress) -> _FeedRun:
             on_progress=progress.update,
         )
         if not request.weights:
-            return _FeedRun(tradeoff, None)
+            return tradeoff, None, ""
         try:
             tuned = tune_feed(
                 job,
@@ -188,9 +179,9 @@ def _compute(job: "Job", request: FeedRequest, progress: Progress) -> _FeedRun:
                 on_progress=progress.update,
             )
         except (SimulationFailed, ValueError) as failure:
-            # What all feeds leave is known by now.
-            return _FeedRun(tradeoff, None, str(failure))
-        return _FeedRun(tradeoff, tuned)
+            # The errors at all feeds are known by now.
+            return tradeoff, None, str(failure)
+        return tradeoff, tuned, ""
 
 
 def _write(
@@ -202,7 +193,7 @@ def _write(
     force: bool,
 ) -> int:
     """Write the numbers and tuned paths, then the figure; return the exit code."""
-    from ..io import write_results
+    from ..io import write_gcode, write_path_csv, write_results
     from ..viz import plot_feed, save_figure
 
     even = tradeoff.to_dataset()
@@ -213,7 +204,17 @@ def _write(
         names = {name: f"tuned_{name}" for name in along.data_vars}
         dataset = even.merge(along.rename(names))
         for point, path in zip(tuned.points[1:], tuned.paths[1:], strict=True):
-            files.update(_path_files(job, point.weight, path))
+            name = f"tuned_{point.weight:g}"
+            files[f"{name}.csv"] = write_path_csv(path)
+            if path.is_upright:
+                header = [
+                    f"{job.name}, feed tuned by diffmill",
+                    f"weight of time: {point.weight:g}",
+                ]
+                speed = float(job.spindle_speed)
+                files[f"{name}.ngc"] = write_gcode(
+                    path, header=header, spindle_speed=speed
+                )
     write_results(folder, with_job(dataset, job), files=files, force=force)
     attempts = Attempts()
 
@@ -226,24 +227,10 @@ def _write(
     return attempts.conclude(folder)
 
 
-def _path_files(job: "Job", weight: float, path: "Path") -> dict[str, str]:
-    """Return a tuned path and, where the tool stands upright, its program, by name."""
-    from ..io import write_gcode, write_path_csv
-
-    name = f"tuned_{weight:g}"
-    files = {f"{name}.csv": write_path_csv(path)}
-    if path.is_upright:
-        header = [f"{job.name}, feed tuned by diffmill", f"weight of time: {weight:g}"]
-        files[f"{name}.ngc"] = write_gcode(
-            path, header=header, spindle_speed=float(job.spindle_speed)
-        )
-    return files
-
-
 def _summary(
     job: "Job", tradeoff: "FeedTradeoff", tuned: "TunedFeed | None"
 ) -> list[str]:
-    """Return the errors and times as a table."""
+    """Table of errors and times."""
     lines = [
         f"{job.name}: contour error, rms over the length that is cut [um]",
         f"{'override':>10}{'time [s]':>10}{'f_z [mm]':>10}{'program':>10}"

@@ -1,6 +1,7 @@
 """The commands, their arguments, and the exit code."""
 
 import _thread
+import dataclasses
 import os
 import pathlib
 import signal
@@ -30,9 +31,35 @@ _Out = Annotated[
 ]
 _Force = Annotated[bool, tyro.conf.arg(help="Replace what is there already.")]
 _Quiet = Annotated[bool, tyro.conf.arg(help="Print nothing but errors.")]
-_Verbose = Annotated[
-    bool, tyro.conf.arg(help="Keep every line of progress; name what is compiled.")
-]
+
+
+@dataclasses.dataclass(frozen=True)
+class _Display:
+    """Options of a command that shows its progress.
+
+    Attributes:
+        quiet: True to print nothing but errors.
+        verbose: True to keep every line of progress.
+    """
+
+    quiet: _Quiet = False
+    verbose: Annotated[
+        bool, tyro.conf.arg(help="Keep every line of progress; name what is compiled.")
+    ] = False
+
+    def progress(self, *, prints_json: bool = False) -> "Progress":
+        """Display of the progress."""
+        from ._session.progress import Progress
+
+        if self.quiet and self.verbose:
+            raise BadInput("--quiet and --verbose exclude each other")
+        return Progress(
+            is_quiet=self.quiet, is_verbose=self.verbose, prints_json=prints_json
+        )
+
+
+# Without a name of its own: the options are --quiet and --verbose.
+_Shown = Annotated[_Display, tyro.conf.arg(name="")]
 _Band = Annotated[
     str | None,
     tyro.conf.arg(
@@ -57,26 +84,17 @@ _Outside = Annotated[
 
 
 def _read(file: pathlib.Path) -> None:
-    """Refuse what is no TOML file before anything that takes seconds is imported."""
+    """Refuse a file that is no TOML before imports that take seconds."""
     with bad_input():
         read_toml(file)
 
 
 def _check_tables(job: pathlib.Path) -> None:
-    """Refuse a job whose tables have faults before what takes seconds is imported."""
+    """Refuse a job whose tables have faults before imports that take seconds."""
     from ..config import check_tables
 
     with bad_input():
         check_tables(job)
-
-
-def _progress(quiet: bool, verbose: bool, json: bool = False) -> "Progress":
-    """Return what shows the progress as asked for."""
-    from ._session.progress import Progress
-
-    if quiet and verbose:
-        raise BadInput("--quiet and --verbose exclude each other")
-    return Progress(is_quiet=quiet, is_verbose=verbose, prints_json=json)
 
 
 def simulate(
@@ -84,8 +102,7 @@ def simulate(
     *,
     out: _Out = None,
     force: _Force = False,
-    quiet: _Quiet = False,
-    verbose: _Verbose = False,
+    shown: _Shown = _Display(),
     json: _Json = False,
     allow_outside: _Outside = False,
     tolerance_band: _Band = None,
@@ -99,7 +116,7 @@ def simulate(
         job,
         out,
         force=force,
-        progress=_progress(quiet, verbose, json),
+        progress=shown.progress(prints_json=json),
         allow_outside=allow_outside,
         tolerance_band=tolerance_band,
     )
@@ -110,8 +127,7 @@ def correct(
     *,
     out: _Out = None,
     force: _Force = False,
-    quiet: _Quiet = False,
-    verbose: _Verbose = False,
+    shown: _Shown = _Display(),
     json: _Json = False,
     allow_outside: _Outside = False,
     tolerance_band: _Band = None,
@@ -132,7 +148,7 @@ def correct(
         job,
         out,
         force=force,
-        progress=_progress(quiet, verbose, json),
+        progress=shown.progress(prints_json=json),
         allow_outside=allow_outside,
         tolerance_band=tolerance_band,
         resume=resume,
@@ -158,8 +174,7 @@ def feed(
     ] = False,
     out: _Out = None,
     force: _Force = False,
-    quiet: _Quiet = False,
-    verbose: _Verbose = False,
+    shown: _Shown = _Display(),
     allow_outside: _Outside = False,
 ) -> int:
     """Say what a slower or faster feed costs in error; tune the feed along the path."""
@@ -171,7 +186,7 @@ def feed(
         FeedRequest(overrides, weights, correct),
         out,
         force=force,
-        progress=_progress(quiet, verbose),
+        progress=shown.progress(),
         allow_outside=allow_outside,
     )
 
@@ -202,8 +217,7 @@ def campaign(
     force: Annotated[
         bool, tyro.conf.arg(help="Run every job anew, also those with a result.")
     ] = False,
-    quiet: _Quiet = False,
-    verbose: _Verbose = False,
+    shown: _Shown = _Display(),
     allow_outside: _Outside = False,
 ) -> int:
     """Run many jobs that differ in a few keys; go on from where it was interrupted."""
@@ -215,7 +229,7 @@ def campaign(
         Workers(workers, scheduler, retry),
         out,
         force=force,
-        progress=_progress(quiet, verbose),
+        progress=shown.progress(),
         allow_outside=allow_outside,
     )
 
@@ -240,8 +254,7 @@ def identify(
         tyro.conf.arg(help="Folder for the results; ./<file>-identify if not given."),
     ] = None,
     force: _Force = False,
-    quiet: _Quiet = False,
-    verbose: _Verbose = False,
+    shown: _Shown = _Display(),
     allow_outside: _Outside = False,
 ) -> int:
     """Fit force coefficients, joint stiffness or damping to what was measured."""
@@ -253,7 +266,7 @@ def identify(
         forces,
         out,
         force=force,
-        progress=_progress(quiet, verbose),
+        progress=shown.progress(),
         allow_outside=allow_outside,
     )
 
@@ -289,8 +302,7 @@ def robot(
         tyro.conf.arg(help="Folder for the results; ./<model>-robot if not given."),
     ] = None,
     force: _Force = False,
-    quiet: _Quiet = False,
-    verbose: _Verbose = False,
+    shown: _Shown = _Display(),
     allow_outside: _Outside = False,
 ) -> int:
     """Print masses, stiffness, modes and sag of a robot; draw it and its stiffness."""
@@ -303,7 +315,7 @@ def robot(
         drives=drives,
         out=out,
         force=force,
-        progress=_progress(quiet, verbose),
+        progress=shown.progress(),
         allow_outside=allow_outside,
     )
 
@@ -416,14 +428,14 @@ def _pass_interrupts_on() -> None:
     """
     before = sys.unraisablehook
 
-    def repeat_interrupt(found: "sys.UnraisableHookArgs") -> None:
-        if issubclass(found.exc_type, KeyboardInterrupt):
+    def repeat_interrupt(raised: "sys.UnraisableHookArgs") -> None:
+        if issubclass(raised.exc_type, KeyboardInterrupt):
             # A little later, or it would be raised in here. By SIGTERM, since a shell
             # lets what it starts in the background ignore SIGINT.
             again = threading.Timer(0.05, _thread.interrupt_main, [signal.SIGTERM])
             again.start()
         else:
-            before(found)
+            before(raised)
 
     sys.unraisablehook = repeat_interrupt
 
@@ -479,8 +491,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(printable(f"error: {error}"), file=sys.stderr)
         return 2
     except (KeyboardInterrupt, Interrupted) as error:
-        left = str(error) or "no results were written"
-        print(printable(f"error: interrupted; {left}"), file=sys.stderr)
+        state = str(error) or "no results were written"
+        print(printable(f"error: interrupted; {state}"), file=sys.stderr)
         return 1
     except BrokenPipeError:
         # Who reads has enough, such as `head`; nothing more can be said there.

@@ -1,4 +1,4 @@
-"""What there is to say about a robot at a pose, with units in the keys, as JSON."""
+"""Facts about a robot at a pose, with units in the keys, as JSON."""
 
 from typing import TYPE_CHECKING, Any, TypedDict
 
@@ -17,7 +17,7 @@ else:
 
 _LOAD_N = 100.0
 # A damper of this share of the others is none.
-_HARDLY = 1e-3
+_UNDAMPED_SHARE = 1e-3
 
 
 class JointFacts(TypedDict):
@@ -76,7 +76,7 @@ class RobotFacts(TypedDict):
 
 
 def robot_facts(robot: "Robot", q: "JointPositions") -> RobotFacts:
-    """Return what there is to say about a robot at a pose, with units in the keys.
+    """Facts about a robot at a pose, with units in the keys.
 
     Args:
         robot: The robot.
@@ -94,10 +94,10 @@ def robot_facts(robot: "Robot", q: "JointPositions") -> RobotFacts:
             modes = _modes(robot, q)
         except ValueError as error:
             notes.append(str(error))
-    silent = int(np.isfinite(K).sum()) - len(modes or [])
-    if modes is not None and silent:
+    overdamped = int(np.isfinite(K).sum()) - len(modes or [])
+    if modes is not None and overdamped:
         notes.append(
-            f"modes that do not oscillate, so strong are their dampers: {silent}"
+            f"modes that do not oscillate, so strong are their dampers: {overdamped}"
         )
     if np.isinf(K).all():
         notes.append(
@@ -122,7 +122,7 @@ def robot_facts(robot: "Robot", q: "JointPositions") -> RobotFacts:
 
 
 def _damping_notes(robot: "Robot") -> list[str]:
-    """Return a note for each joint that is hardly damped beside others of its kind."""
+    """Note for each joint that is hardly damped beside others of its kind."""
     D, notes = np.asarray(robot.joint_damping, float), []
     kinds = np.array(robot.joint_kinds)
     is_soft = np.isfinite(np.asarray(robot.joint_stiffness)) & ~np.asarray(
@@ -130,7 +130,7 @@ def _damping_notes(robot: "Robot") -> list[str]:
     )
     for k in np.flatnonzero(is_soft):
         others = D[is_soft & (kinds == kinds[k]) & (np.arange(len(D)) != k)]
-        if others.size and 0 < D[k] < _HARDLY * np.median(others):
+        if others.size and 0 < D[k] < _UNDAMPED_SHARE * np.median(others):
             unit = "N s/m" if kinds[k] == "prismatic" else "N m s/rad"
             notes.append(
                 f"{robot.joint_names[k]} is practically undamped: {D[k]:.3g} {unit} "
@@ -140,7 +140,7 @@ def _damping_notes(robot: "Robot") -> list[str]:
 
 
 def _joints(robot: "Robot", q: "JointPositions") -> list[JointFacts]:
-    """Return a row per joint: degrees and N m/rad, or millimetres and N/m."""
+    """Row per joint: degrees and N m/rad, or millimetres and N/m."""
     rows: list[JointFacts] = []
     for k, (name, kind) in enumerate(
         zip(robot.joint_names, robot.joint_kinds, strict=True)
@@ -165,12 +165,12 @@ def _joints(robot: "Robot", q: "JointPositions") -> list[JointFacts]:
 
 
 def _finite(value: float) -> float | None:
-    """Return a value as JSON can hold it: None for infinity."""
+    """Value as JSON can hold it: None for infinity."""
     return value if np.isfinite(value) else None
 
 
 def _statics(robot: "Robot", q: "JointPositions") -> StaticFacts:
-    """Return stiffness, deflection and sag of the tool's tip."""
+    """Stiffness, deflection and sag of the tool's tip."""
     from ..robot import cartesian_compliance, gravity_sag, static_deflection
 
     C = np.asarray(cartesian_compliance(robot, q))[:3, :3]
@@ -202,30 +202,30 @@ def _statics(robot: "Robot", q: "JointPositions") -> StaticFacts:
 
 
 def _modes(robot: "Robot", q: "JointPositions") -> list[ModeFacts]:
-    """Return frequency, damping and shape of every mode that rings."""
+    """Frequency, damping and shape of every mode that rings."""
     from ..robot import damped_modes
 
-    found = damped_modes(robot, q)
+    modes = damped_modes(robot, q)
     return [
         {
             "frequency_Hz": float(frequency),
-            # Rounding may put what has no damper below 0.
+            # Rounding may put an undamped mode below 0.
             "damping_ratio": max(float(ratio), 0.0),
             "energy_shares": dict(zip(robot.joint_names, shares.tolist(), strict=True)),
             "tool_direction": _direction(shape[:3]),
         }
         for frequency, ratio, shares, shape in zip(
-            found.frequencies,
-            found.damping_ratios,
-            found.energy_shares,
-            found.tool_shapes,
+            modes.frequencies,
+            modes.damping_ratios,
+            modes.energy_shares,
+            modes.tool_shapes,
             strict=True,
         )
     ]
 
 
 def _direction(shape: "ComplexShape") -> list[float] | None:
-    """Return the direction of the largest motion in a cycle, None without motion."""
+    """Direction of the largest motion in a cycle, None without motion."""
     # Turned by this phase, the real part is the longer half axis of the ellipse.
     move = (shape * np.exp(-0.5j * np.angle(np.sum(shape**2)))).real
     size = float(np.linalg.norm(move))

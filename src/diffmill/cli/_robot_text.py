@@ -6,10 +6,10 @@ from ._robot_facts import JointFacts, ModeFacts, RobotFacts, StaticFacts
 
 
 def robot_lines(facts: RobotFacts) -> list[str]:
-    """Return the lines that `diffmill robot` prints.
+    """Lines that `diffmill robot` prints.
 
     Args:
-        facts: What `robot_facts` returns.
+        facts: Facts of the robot at a pose.
     """
     width = 2 + max(len("joint"), *(len(row["name"]) for row in facts["joints"]))
     lines = [

@@ -45,8 +45,8 @@ if TYPE_CHECKING:
 Dataset: TypeAlias = Any
 Outcome: TypeAlias = Any
 
-# What takes longest to import of what results, surfaces and figures need.
-_LATER = (
+# The slowest imports of results, surfaces and figures.
+_LATE_IMPORTS = (
     "xarray",
     "h5netcdf",
     "matplotlib.figure",
@@ -73,14 +73,14 @@ def run_job(
         command: "simulate" or "correct".
         file: The job file.
         out: Folder for the results, or None for `./<job>-<command>`.
-        force: Whether results that are there are replaced.
-        progress: Shows how far it is.
-        allow_outside: Whether the job may name files outside its folder.
+        force: True to replace results that are there.
+        progress: Display of the progress.
+        allow_outside: True if the job may name files outside its folder.
         tolerance_band: Contour error to hold the result against, with its unit; by
             default that of the job.
-        resume: Whether a correction goes on from its checkpoint.
+        resume: True to go on from the checkpoint of a correction.
     """
-    band = _length(tolerance_band)
+    band, is_correction = _length(tolerance_band), command == "correct"
     folder = pathlib.Path(f"{file.stem}-{command}") if out is None else out
     with bad_input():
         results = ResultsFolder.of(folder)
@@ -99,7 +99,7 @@ def run_job(
         with progress:
             progress.begin("reading the job")
             job = load_job(file, allow_outside=allow_outside)
-        if command == "correct" and job.is_rigid:
+        if is_correction and job.is_rigid:
             raise JobError(
                 file,
                 [
@@ -107,13 +107,15 @@ def run_job(
                     "file, or [machine]"
                 ],
             )
-        if command == "correct" and job.commanded is not None:
+        if is_correction and job.commanded is not None:
             raise JobError(file, [ONLY_SIMULATE])
-        if command == "correct" and not _can_be_written(job):
+        # G-code as it is written cannot state how the tool tilts.
+        has_gcode = ".ngc" in job.output.formats
+        if is_correction and has_gcode and not job.path.is_upright:
             raise JobError(file, [NO_TILT])
     with locked_folder(folder) as unlocked:
-        run = _Run(command, job, folder, may_replace, progress)
-        if command == "correct":
+        run = _Run(is_correction, job, folder, may_replace, progress)
+        if is_correction:
             with interruption_leaves(lambda: _earlier_files(results)), bad_input():
                 if job.output.moves_ends:
                     run.program = JobProgram.of_job(file, allow_outside=allow_outside)
@@ -138,19 +140,19 @@ class _Run:
 
     def __init__(
         self,
-        command: str,
+        is_correction: bool,
         job: "Job",
         folder: pathlib.Path,
         may_replace: bool,
         progress: Progress,
     ):
-        self._command, self._job, self._progress = command, job, progress
+        self._is_correction, self._job, self._progress = is_correction, job, progress
         self._folder, self._may_replace = folder, may_replace
         self._is_written = False
         self._chatter: list[Stability] = []
 
     def interruption_text(self) -> str:
-        """Return what an interruption leaves, as a sentence."""
+        """Sentence on the files that an interruption leaves."""
         resumes = ""
         if self.checkpoint is not None and self.checkpoint.file.exists():
             resumes = "the same command with --resume goes on from there"
@@ -167,12 +169,13 @@ class _Run:
     def finish(self, band: float | None, importing: threading.Thread) -> int:
         """Run the job, write its results and figures; return the exit code."""
         from .._result import SimulationFailed
+        from ..viz import summary
 
         start = time.perf_counter()
         try:
             with self._progress:
                 outcome = _compute(
-                    self._command,
+                    self._is_correction,
                     self._job,
                     self._progress,
                     self.checkpoint,
@@ -189,12 +192,13 @@ class _Run:
             raise
         seconds = time.perf_counter() - start
         importing.join()
-        # What programs took while they were made is more than results and figures take.
+        # Programs took more while they were made than results and figures take.
         give_back_memory()
         if self.checkpoint is not None:
             seconds += self.checkpoint.spent
         run = self._write(outcome, band, seconds)
-        self._progress.answer(_summary(run.dataset))
+        # The verdict follows the analyses that it includes.
+        self._progress.answer(summary(run.dataset, "figures"))
         self._progress.say(
             f"results: {self._folder}; the run took {seconds:.1f} s with compilation"
         )
@@ -210,9 +214,9 @@ class _Run:
         return code
 
     def _tell_chatter(self, before: Outcome) -> None:
-        """Say that the uncorrected path chatters, before it is corrected."""
-        if found := _chatter(self._job, before, self._progress):
-            self._chatter.append(found)
+        """Print chatter of the uncorrected path, before it is corrected."""
+        if chatter := _chatter(self._job, before, self._progress):
+            self._chatter.append(chatter)
 
     def _write(
         self, outcome: Outcome, band: float | None, seconds: float
@@ -220,17 +224,21 @@ class _Run:
         """Write what was computed."""
         from ..io import write_results
 
-        progress, is_correction = self._progress, self._command == "correct"
+        progress, is_correction = self._progress, self._is_correction
         solutions = outcome.cases if is_correction else {"predicted": outcome}
         final = outcome.after if is_correction else outcome
         job = self._job.with_intervals(final.stock.interval_counts)
         for note in job.notes[len(self._job.notes) :]:
             progress.say(f"note: {note}")
-        surfaces, files = None, {}
+        surfaces, left_out, files = None, "", {}
         if not is_correction:
             dataset = with_job(outcome.to_dataset(), job)
         else:
-            surfaces, left_out = _surfaces(outcome)
+            try:
+                surfaces = outcome.surfaces()
+            except ValueError as error:
+                # A mesh can be too large for the memory where its stock was not.
+                surfaces, left_out = {}, str(error)
             dataset = with_job(outcome.to_dataset(surfaces), job)
             if left_out:
                 dataset.attrs["surface_left_out"] = left_out
@@ -239,11 +247,11 @@ class _Run:
             from ._written.moved_ends import moved_files
 
             commanded = np.asarray(outcome.commanded, float)
-            files, said = corrected_files(job, commanded)
+            files, lines = corrected_files(job, commanded)
             if job.output.moves_ends:
-                more, lines = moved_files(job, self.program, commanded)
-                files, said = files | more, [*said, *lines]
-            for line in said:
+                moved, moved_lines = moved_files(job, self.program, commanded)
+                files, lines = files | moved, [*lines, *moved_lines]
+            for line in lines:
                 progress.say(line)
         band = float(job.correction.tolerance_band) if band is None else band
         dataset.attrs["tolerance_band"] = band
@@ -266,63 +274,47 @@ class _Run:
 
 
 def _chatter(job: "Job", before: Outcome, progress: Progress) -> "Stability | None":
-    """Return the chatter of the uncorrected path, and say it before it is corrected."""
+    """Chatter of the uncorrected path, which is printed before it is corrected."""
     try:
-        found = job_stability(job, before)
+        growth = job_stability(job, before)
     except Exception as error:
-        # The analyses after the run try it again and keep what fails.
+        # The analyses after the run try it again and report a failure.
         progress.say(f"warning: stability before the correction failed: {error}")
         return None
-    if found is None or found.warning() is None:
+    if growth is None or growth.warning() is None:
         return None
-    for line in stability_lines(found):
+    for line in stability_lines(growth):
         progress.say(line)
-    return found
-
-
-def _surfaces(outcome: Outcome) -> tuple[dict[str, Any], str]:
-    """Return the surface errors of a correction, or none and why.
-
-    A mesh of the surface can be too large for the memory where its stock was not.
-    """
-    try:
-        return outcome.surfaces(), ""
-    except ValueError as error:
-        return {}, str(error)
-
-
-def _can_be_written(job: "Job") -> bool:
-    """Return whether the formats of a corrected program can say how the tool tilts."""
-    return job.path.is_upright or ".ngc" not in job.output.formats
+    return growth
 
 
 def _earlier_files(results: ResultsFolder) -> str:
-    """Return what an interruption leaves before anything is computed."""
+    """Sentence on the files that an interruption leaves before the computation."""
     folder = [results.path] if results.path.exists() else []
     earlier = " and ".join(map(str, [*folder, *results.checkpoints()]))
-    kept = f"; what an earlier run left is as it was: {earlier}" if earlier else ""
-    return f"no results were written{kept}"
+    remains = f"; what an earlier run left is as it was: {earlier}" if earlier else ""
+    return f"no results were written{remains}"
 
 
 def _import_later() -> None:
-    """Import what comes later; what fails here fails again, and is told, there."""
+    """Import modules of later steps, where a failure comes again and is reported."""
     with contextlib.suppress(Exception):
-        for name in _LATER:
+        for name in _LATE_IMPORTS:
             importlib.import_module(name)
 
 
 def _length(text: str | None) -> float | None:
-    """Return a length of the command line [m]."""
+    """Length of the command line [m]."""
     from ..units import LENGTH, quantity
 
     if text is None:
         return None
     try:
-        found = quantity(text, LENGTH)
+        length = quantity(text, LENGTH)
     except ValueError:
-        found = 0.0
-    if found > 0:
-        return found
+        length = 0.0
+    if length > 0:
+        return length
     raise BadInput(
         f"--tolerance-band: found {text!r}, but a length above 0 with its unit is "
         'required, such as "20 um"'
@@ -332,7 +324,7 @@ def _length(text: str | None) -> float | None:
 def _figures(
     dataset: Dataset, folder: pathlib.Path, notes: tuple[str, ...]
 ) -> dict[str, Any]:
-    """Return the headline figures of all cases in SI; None where there is none."""
+    """Headline figures of all cases in SI, as JSON; None where there is none."""
     from ..viz import case_numbers
 
     cases = dataset["case"].values.tolist() if "case" in dataset.dims else ["predicted"]
@@ -359,15 +351,8 @@ def _figures(
     }
 
 
-def _summary(dataset: Dataset) -> str:
-    """Return the headline figures; the verdict follows the analyses it tells of."""
-    from ..viz import summary
-
-    return summary(dataset, "figures")
-
-
 def _compute(
-    command: str,
+    is_correction: bool,
     job: "Job",
     progress: Progress,
     checkpoint: Checkpoint | None,
@@ -376,7 +361,7 @@ def _compute(
     """Run the job; `on_predicted` is called before anything is corrected."""
     from ..sim import simulate
 
-    if command == "simulate":
+    if not is_correction:
         return simulate(job, on_progress=progress.update)
     from ..correction import correct
 
@@ -396,7 +381,7 @@ def _compute(
 
 
 def with_job(dataset: Dataset, job: "Job") -> Dataset:
-    """Return a dataset whose attributes hold the job's name, text and notes."""
+    """Dataset whose attributes hold the job's name, text and notes."""
     added: dict[str, Any] = {
         "job": job.name,
         "source": job.source,
@@ -413,7 +398,7 @@ def with_job(dataset: Dataset, job: "Job") -> Dataset:
 def _write_failure(
     folder: pathlib.Path, job: "Job", failure: "SimulationFailed", *, force: bool
 ) -> int:
-    """Keep what an aborted run has computed; return the exit code 1."""
+    """Write the results of an aborted run; return the exit code 1."""
     from ..io import mark_incomplete, write_results
 
     print(printable(f"error: the run failed: {failure}"), file=sys.stderr)

@@ -26,14 +26,14 @@ class Attempts:
             self._failures[step] = error
 
     def lines(self) -> list[str]:
-        """Return a line for every step that failed."""
+        """Line for every step that failed."""
         return [
             f"{step} failed: {type(error).__name__}: {str(error).rstrip('.')}"
             for step, error in self._failures.items()
         ]
 
     def add(self, folder: pathlib.Path, fill: Callable[[pathlib.Path], object]) -> None:
-        """Add files to written results, and the tracebacks of what failed.
+        """Add files to written results, and the tracebacks of failed steps.
 
         Args:
             folder: The folder of the results.

@@ -14,7 +14,7 @@ from .progress import Progress
 if TYPE_CHECKING:
     from ..._job import Job
 
-# Under this name a checkpoint says what the run had taken [s].
+# Name of the time of the run in a checkpoint [s].
 _SPENT = "spent_s"
 
 
@@ -23,9 +23,9 @@ class Checkpoint:
 
     Attributes:
         file: Its file, `<folder>.checkpoint`.
-        resumed: What it held, or None for a run from the beginning.
-        spent: What the run had taken until then [s].
-        is_ours: Whether this run has written it or goes on from it.
+        resumed: Its arrays, or None for a run from the beginning.
+        spent: Time of the run until then [s].
+        is_ours: True if this run has written it or goes on from it.
     """
 
     def __init__(self, folder: pathlib.Path, job: "Job", progress: Progress):
@@ -39,10 +39,10 @@ class Checkpoint:
         self._progress, self._has_failed = progress, False
 
     def open(self, *, resume: bool, force: bool) -> None:
-        """Read what an earlier run has kept, or see that none is overwritten.
+        """Read the checkpoint of an earlier run, or refuse to overwrite it.
 
         Args:
-            resume: Whether to go on from the checkpoint.
+            resume: True to go on from the checkpoint.
             force: Whether an earlier one may be replaced.
 
         Raises:
@@ -59,18 +59,18 @@ class Checkpoint:
         latest = self.file.latest()
         for note in latest.notes:
             self._progress.say(f"warning: {note}")
-        found = latest.arrays
-        if found is None:
+        arrays = latest.arrays
+        if arrays is None:
             self._progress.say(
                 f"note: no checkpoint at {self.file.path}; the run starts anew"
             )
             return
-        self.spent = float(found.get(_SPENT, 0.0))
-        self.resumed = {name: x for name, x in found.items() if name != _SPENT}
+        self.spent = float(arrays.get(_SPENT, 0.0))
+        self.resumed = {name: x for name, x in arrays.items() if name != _SPENT}
         self.is_ours = True
 
     def write(self, arrays: Mapping[str, np.ndarray]) -> None:
-        """Keep what has been found so far; where that fails, the run goes on."""
+        """Write the arrays so far; where that fails, the run goes on."""
         spent = self.spent + time.perf_counter() - self._began
         try:
             self.file.write({**arrays, _SPENT: np.asarray(spent)})

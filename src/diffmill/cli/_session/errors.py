@@ -1,4 +1,4 @@
-"""Telling what a user got wrong from what a program got wrong."""
+"""Errors of a user, apart from errors of the program."""
 
 import contextlib
 import pathlib
@@ -6,12 +6,12 @@ from collections.abc import Callable, Iterator
 
 from ..._results_folder import ResultsFolder
 
-# What commands say of a job that brings a command of its own.
+# Refusal of a job that brings a command of its own.
 ONLY_SIMULATE = (
     "[program] commanded: found one, but only simulate takes it; leave it out"
 )
 
-# What `correct` says of a job whose program it could not write in the end.
+# Refusal of `correct` for a job whose program it could not write in the end.
 NO_TILT = (
     '[output] formats: found "gcode", but the tool tilts, and G-code is written with '
     'X, Y and Z only; correct allows "krl", "rapid" and "apt"'
@@ -23,7 +23,7 @@ class BadInput(Exception):
 
 
 class Interrupted(Exception):
-    """Raise for an interruption that leaves something; the message says what."""
+    """Raise for an interruption; the message names the files that it leaves."""
 
 
 @contextlib.contextmanager
@@ -31,7 +31,7 @@ def interruption_leaves(describe: Callable[[], str]) -> Iterator[None]:
     """Turn an interruption into `Interrupted`.
 
     Args:
-        describe: Called after an interruption, to tell what is there.
+        describe: Text on the files that are there, asked for after an interruption.
     """
     try:
         yield
@@ -41,7 +41,7 @@ def interruption_leaves(describe: Callable[[], str]) -> Iterator[None]:
 
 @contextlib.contextmanager
 def locked_folder(folder: pathlib.Path) -> Iterator[str]:
-    """Hold a folder of results against other runs; remove what killed runs left.
+    """Lock a folder of results; remove files that killed runs left.
 
     Yields:
         A note where the file system knows no locks, else an empty text.
@@ -70,11 +70,11 @@ def bad_input() -> Iterator[None]:
 
 @contextlib.contextmanager
 def bad_correction(job: str, purpose: str) -> Iterator[None]:
-    """Turn what a correction refuses about its job into `BadInput`.
+    """Turn a correction's refusal of its job into `BadInput`.
 
     Args:
         job: Name of the job.
-        purpose: What nothing is found for where the program leaves no error.
+        purpose: Purpose for which nothing is found where the program leaves no error.
     """
     from ...correction import InfeasibleLimit, NothingToCorrect, UnsuitableSettings
 

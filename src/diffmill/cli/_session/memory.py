@@ -7,8 +7,8 @@ import ctypes
 def give_back_memory() -> None:
     """Return freed memory to the system.
 
-    While a compiled program is made, or read, it takes several times what is kept of
-    it. Where the C library has no such function nothing is done.
+    A compiled program takes several times its final size while it is made, or read.
+    Where the C library has no such function nothing is done.
     """
     with contextlib.suppress(AttributeError, OSError, TypeError):
         ctypes.CDLL(None).malloc_trim(0)

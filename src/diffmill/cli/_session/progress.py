@@ -1,4 +1,4 @@
-"""Showing how far a run is."""
+"""Display of the progress of a run."""
 
 import threading
 import time
@@ -8,7 +8,7 @@ from rich.console import Console
 
 from ..._messages import printable
 
-# Compiling what is shorter is not worth a line [s].
+# A shorter compilation gets no line [s].
 _LEAST_COMPILATION = 0.2
 # Without a terminal a line says every so often that something still goes on [s].
 _LONGEST_SILENCE = 8.0
@@ -19,9 +19,9 @@ class Progress:
     """A status line on a terminal; one line per message where there is none.
 
     Attributes:
-        is_quiet: Whether nothing is shown.
-        is_verbose: Whether every message stays, and what is compiled is named.
-        prints_json: Whether the standard output is for JSON alone.
+        is_quiet: True to show nothing.
+        is_verbose: True to keep every message, and to name compiled programs.
+        prints_json: True if the standard output is for JSON alone.
     """
 
     def __init__(
@@ -77,12 +77,12 @@ class Progress:
     def update(
         self, message: str, share: float | None = None, then: str | None = None
     ) -> None:
-        """Show what is being done.
+        """Show the present step.
 
         Args:
-            message: What is being done.
-            share: How much of the whole run is done, 0 to 1, if that is known.
-            then: What is being done from now on, if the message is of what is done.
+            message: The present step.
+            share: Share of the whole run that is done, 0 to 1, if that is known.
+            then: The next step, if the message is of a step that is done.
         """
         if self.is_quiet:
             return
@@ -91,7 +91,7 @@ class Progress:
         self._message = f"{part}{then or message}"
 
     def begin(self, message: str) -> None:
-        """Set what is being done, which is shown if it takes long."""
+        """Set the present step, which is shown if it takes long."""
         self._message = message
         self._status.update(message)
 
@@ -101,7 +101,7 @@ class Progress:
             self._console.print(printable(message), markup=False)
 
     def answer(self, message: str) -> None:
-        """Print what was asked for: on the standard output, if that is not for JSON."""
+        """Print a result: on the standard output, if that is not for JSON."""
         if self.prints_json or self.is_quiet:
             self.say(message)
         else:
@@ -117,7 +117,7 @@ class Progress:
             self._console.print(text, markup=False)
 
     def _refresh(self) -> None:
-        """Say now and then what goes on: on a terminal every second."""
+        """Show the present step now and then: on a terminal every second."""
         every = 1.0 if self._console.is_terminal else _LONGEST_SILENCE
         while not self._is_over.wait(0.2 * every):
             if time.perf_counter() - self._said > every:
@@ -129,7 +129,7 @@ class Progress:
         self._compiling += event.endswith(_COMPILE_EVENT)
 
     def _compiled(self, event: str, duration_secs: float, **kwargs: str | int) -> None:
-        """Note that it has; name what is compiled, or was found so, if asked for."""
+        """Note that a program is compiled, or read; name it if the run is verbose."""
         if not event.endswith(_COMPILE_EVENT):
             return
         self._compiling = max(self._compiling - 1, 0)
@@ -142,7 +142,7 @@ class Progress:
 
 
 def _versions() -> str:
-    """Return what computes, in one line."""
+    """Versions, devices and folder of compiled programs, in one line."""
     from importlib import metadata
 
     import jax

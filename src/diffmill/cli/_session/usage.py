@@ -1,5 +1,6 @@
-"""Commands and options as they were typed: what is wrong with them, in one line."""
+"""Faults of commands and options as they were typed, in one line."""
 
+import dataclasses
 import inspect
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -37,7 +38,7 @@ def check_usage(
 
 
 def shell_of(argv: Sequence[str]) -> str:
-    """Return the shell whose completion is asked for.
+    """Shell whose completion is asked for.
 
     Args:
         argv: `--completion` and what follows it.
@@ -55,11 +56,10 @@ def _check_command(
 ) -> None:
     parameters = list(inspect.signature(command).parameters.values())
     places = [p for p in parameters if p.kind is not p.KEYWORD_ONLY]
-    options = {
-        f"--{p.name.replace('_', '-')}": get_args(p.annotation)[0]
-        for p in parameters
-        if p.kind is p.KEYWORD_ONLY
-    }
+    options = {}
+    for parameter in parameters:
+        if parameter.kind is parameter.KEYWORD_ONLY:
+            options |= _options(parameter.name, parameter.annotation)
     given = 0
     while tokens:
         token = tokens.pop(0)
@@ -78,6 +78,17 @@ def _check_command(
     for place in places[given:]:
         if place.default is place.empty:
             _refuse(f"{name}: found no {_metavar(place)}", [], "it is required")
+
+
+def _options(name: str, annotation: Any) -> dict[str, Any]:
+    """Types of the options that a parameter stands for, by `--name`."""
+    kind = get_args(annotation)[0]
+    if not dataclasses.is_dataclass(kind):
+        return {f"--{name.replace('_', '-')}": kind}
+    options = {}
+    for field in dataclasses.fields(kind):
+        options |= _options(field.name, field.type)
+    return options
 
 
 def _check_values(where: str, kind: Any, tokens: list[str]) -> None:
@@ -112,7 +123,7 @@ def _metavar(place: inspect.Parameter) -> str:
 
 
 def _refuse(found: str, allowed: Iterable[str], why: str = "") -> NoReturn:
-    """Refuse what was found; without a list of what is allowed, say why."""
+    """Refuse a word; without a list of allowed ones, say why."""
     listed = ", ".join(allowed)
     wanted = f"allowed{f' {why}' if why else ''}: {listed}" if listed else why
     raise BadInput(f"{found}; {wanted}")

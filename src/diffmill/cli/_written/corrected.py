@@ -2,14 +2,14 @@
 
 import dataclasses
 import pathlib
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
 from ...toolpath import ContourStatistics
-from .moved_ends import WrittenFiles, moved_path, read_written
+from .moved_ends import moved_path, read_written
 
 if TYPE_CHECKING:
     from ..._job import Job
@@ -17,22 +17,10 @@ if TYPE_CHECKING:
     from ...sim import Solution
     from ...toolpath import Path
 
-# A written program that leaves so much more than its command calls for more blocks.
-_WORTH_A_NOTE = 1.2
-# Angles are written to 1e-6 degrees.
-_ROUNDED_AXIS = 1e-7
-
-
-class WrittenErrors(NamedTuple):
-    """Contour errors of written programs, and lines about them.
-
-    Attributes:
-        contours: Contour error where the tool cuts, by name of file.
-        lines: Lines for the user.
-    """
-
-    contours: dict[str, ContourStatistics]
-    lines: list[str]
+# A written program with so many times the error of its command needs more blocks.
+_NOTED_ERROR_RATIO = 1.2
+# Angles are written to 1e-6 degrees: largest change of an axis [-].
+_AXIS_ROUNDING = 1e-7
 
 
 def written_errors(
@@ -40,7 +28,7 @@ def written_errors(
     final: "Solution",
     folder: pathlib.Path,
     program: "JobProgram | None" = None,
-) -> WrittenErrors:
+) -> tuple[dict[str, ContourStatistics], list[str]]:
     """Read the corrected programs of a folder and run them.
 
     Args:
@@ -48,6 +36,10 @@ def written_errors(
         final: Solution of the command that they were written from.
         folder: The folder.
         program: The job's own program, whose block ends were moved; None if not.
+
+    Returns:
+        Contour error of each program where the tool cuts, by name of file, and lines
+        for the user.
     """
     from ...io import OffsetStream
 
@@ -67,7 +59,7 @@ def written_errors(
             f"{name}: read back and run, it leaves {rms * 1e6:.2f} um rms where the "
             f"tool cuts; its command leaves {own * 1e6:.2f} um"
         )
-        if not rms <= _WORTH_A_NOTE * own:
+        if not rms <= _NOTED_ERROR_RATIO * own:
             lines.append(
                 f"note: {name} leaves {rms / own:.2g} times the error of its command: "
                 "[output] tolerance is "
@@ -96,7 +88,7 @@ def written_errors(
                 f"{name}: read back, timed and run, it leaves {contour.rms * 1e6:.2f} "
                 "um rms where the tool cuts"
             )
-    return WrittenErrors(contours, lines)
+    return contours, lines
 
 
 def written_path(
@@ -105,7 +97,7 @@ def written_path(
     *,
     tool_axis: Literal["x", "y", "z", "-x", "-y", "-z"] = "z",
 ) -> "Path | None":
-    """Return a written program as a path; None if its moves do not state their times.
+    """Path of a written program; None if its moves do not state their times.
 
     Args:
         file: The program.
@@ -144,12 +136,11 @@ def _run_written(job: "Job", final: "Solution", path: "Path") -> ContourStatisti
     # Rounded times may end a row sooner or later; the tool then rests at the end.
     rows = np.minimum(np.arange(job.path.step_count), path.step_count - 1)
     dtype = final.commanded.dtype
-    turned = np.asarray(path.axes)[rows]
+    axes = np.asarray(path.axes)[rows]
     # An arm that cannot turn the tool cannot follow what rounding turns it by either.
-    is_other = np.abs(turned - np.asarray(job.path.axes)).max() > _ROUNDED_AXIS
+    is_other = np.abs(axes - np.asarray(job.path.axes)).max() > _AXIS_ROUNDING
     if job.simulation.axes and is_other:
-        turned = jnp.asarray(turned, dtype)
-        job = eqx.tree_at(lambda j: j.path.axes, job, turned)
+        job = eqx.tree_at(lambda j: j.path.axes, job, jnp.asarray(axes, dtype))
     if job.path.tool_x is not None and path.tool_x is not None:
         side = jnp.asarray(np.asarray(path.tool_x)[rows], dtype)
         job = eqx.tree_at(lambda j: j.path.tool_x, job, side)
@@ -163,24 +154,17 @@ def _run_written(job: "Job", final: "Solution", path: "Path") -> ContourStatisti
     return ContourStatistics.of(solution.contour_error, final.is_cutting)
 
 
-def _straightened(path: "Path") -> "Path":
-    """Return an upright path with its axes at exactly +z; another as it is.
-
-    Blocks may lean a little more than the rows that they pass, and G-code not at all.
-    """
-    if not path.is_upright:
-        return path
-    up = np.zeros_like(path.axes)
-    up[:, 2] = 1.0
-    return eqx.tree_at(lambda p: p.axes, path, up)
-
-
-def corrected_files(job: "Job", commanded: Float[np.ndarray, "step 3"]) -> WrittenFiles:
-    """Return the files of a corrected command.
+def corrected_files(
+    job: "Job", commanded: Float[np.ndarray, "step 3"]
+) -> tuple[dict[str, str], list[str]]:
+    """Files of a corrected command.
 
     Args:
         job: The job.
         commanded: Tip positions of the corrected command [m], shape (step, 3).
+
+    Returns:
+        Text by name of file, and lines for the user.
     """
     from ...io import (
         OffsetStream,
@@ -191,13 +175,18 @@ def corrected_files(job: "Job", commanded: Float[np.ndarray, "step 3"]) -> Writt
     )
     from ...toolpath import Program, reduce_path
 
-    output, said = job.output, []
-    path = _straightened(eqx.tree_at(lambda p: p.positions, job.path, commanded))
+    output, lines = job.output, []
+    path = eqx.tree_at(lambda p: p.positions, job.path, commanded)
+    if path.is_upright:
+        # Blocks may lean a little more than the rows that they pass, and G-code not at
+        # all.
+        up = np.broadcast_to([0.0, 0.0, 1.0], path.axes.shape).astype(path.axes.dtype)
+        path = eqx.tree_at(lambda p: p.axes, path, up)
     files = {"corrected.csv": write_path_csv(path)}
-    lines = reduce_path(path, output.tolerance)
+    reduced = reduce_path(path, output.tolerance)
     header = [f"{job.name}, corrected by diffmill", f"method: {job.correction.method}"]
     for suffix in output.formats:
-        name, blocks = f"corrected{suffix}", lines
+        name, blocks = f"corrected{suffix}", reduced
         if suffix == ".ngc":
             speed = float(job.spindle_speed)
             frame = program_frame(job.program, np.asarray(path.line).tolist())
@@ -220,7 +209,7 @@ def corrected_files(job: "Job", commanded: Float[np.ndarray, "step 3"]) -> Writt
                 is_spline=is_spline,
                 tool_axis=output.tool_axis,
             )
-        said.append(
+        lines.append(
             f"{name}: {blocks.step_count - 1} blocks instead of "
             f"{path.step_count - 1}, within {output.tolerance * 1e6:g} um at any time"
         )
@@ -230,5 +219,5 @@ def corrected_files(job: "Job", commanded: Float[np.ndarray, "step 3"]) -> Writt
         line = f"stream.csv: steps of {stream.largest_step * 1e6:.3g} um at most"
         if stream.largest_step > output.max_step:
             line += f", but [output] max_step is {output.max_step * 1e6:g} um"
-        said.append(line)
-    return WrittenFiles(files, said)
+        lines.append(line)
+    return files, lines

@@ -2,7 +2,7 @@
 
 import dataclasses
 import pathlib
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -13,22 +13,10 @@ if TYPE_CHECKING:
     from ...toolpath import Path, Program
 
 
-class WrittenFiles(NamedTuple):
-    """Files to write, and what is said of them.
-
-    Attributes:
-        files: Text by name of file.
-        said: Lines about them.
-    """
-
-    files: dict[str, str]
-    said: list[str]
-
-
 def read_written(
     file: pathlib.Path, tool_axis: Literal["x", "y", "z", "-x", "-y", "-z"]
 ) -> "Program | Path":
-    """Return a program that was written with an axis of a controller's tool."""
+    """Program that was written with an axis of a controller's tool."""
     from ...io import ProgramSetup, read_program
 
     is_of_robot = file.suffix in (".src", ".mod", ".modx", ".prg")
@@ -38,20 +26,23 @@ def read_written(
 
 def moved_files(
     job: "Job", given: "JobProgram | None", commanded: Float[np.ndarray, "step 3"]
-) -> WrittenFiles:
-    """Return the file of the moved program.
+) -> tuple[dict[str, str], list[str]]:
+    """File of the moved program.
 
     Args:
         job: The job.
         given: The program before it was timed; None if there is none.
         commanded: Tip positions of the corrected command [m], shape (step, 3).
+
+    Returns:
+        Text by name of file, and lines for the user.
     """
     from ...io import program_frame, write_program
     from ...toolpath import BlockEnds
 
     if given is None:
         no_blocks = "note: [output] moved_ends: a recorded path has no blocks to move"
-        return WrittenFiles({}, [no_blocks])
+        return {}, [no_blocks]
     ends = BlockEnds.of(given.program, job.path)
     moved = ends.with_offsets(commanded - np.asarray(job.path.positions))
     name = f"moved{given.suffix}"
@@ -63,17 +54,17 @@ def moved_files(
         frame=program_frame(job.program, np.asarray(job.path.line).tolist()),
         tool_axis=job.output.tool_axis,
     )
-    said = f"{name}: the {ends.block_count} blocks of the program, their ends moved"
-    return WrittenFiles({name: text}, [said])
+    line = f"{name}: the {ends.block_count} blocks of the program, their ends moved"
+    return {name: text}, [line]
 
 
 def moved_path(
     job: "Job", given: "JobProgram", folder: pathlib.Path
 ) -> Float[np.ndarray, "step 3"] | None:
-    """Read the moved program, time it, and return where it is at the job's rows.
+    """Tip positions of the moved program at the job's rows, read and timed.
 
-    The rows are on the blocks where those of the job are: what a block takes longer or
-    shorter since it has moved, micrometres on its length, is left out.
+    The rows are at the same places of the blocks as those of the job: the change of
+    the time of a block by its motion, micrometres on its length, is left out.
 
     Args:
         job: The job.
