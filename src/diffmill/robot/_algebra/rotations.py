@@ -13,7 +13,7 @@ _FLOOR = 1e-3
 def rpy_matrix(
     roll: RealScalarLike, pitch: RealScalarLike, yaw: RealScalarLike
 ) -> Float[np.ndarray, "3 3"]:
-    """Return R = Rz(yaw) Ry(pitch) Rx(roll), on the host.
+    """R = Rz(yaw) Ry(pitch) Rx(roll), on the host.
 
     Args:
         roll: About x [rad].
@@ -39,7 +39,7 @@ def rpy_matrix(
 def rotation_between(
     target: Float[Array, "3 3"], actual: Float[Array, "3 3"]
 ) -> Float[Array, " 3"]:
-    """Return the vector 2 sin(angle / 2) axis that turns `actual` into `target`.
+    """Vector 2 sin(angle / 2) axis that turns `actual` into `target`.
 
     It is the rotation vector to third order, its derivative at 0 is exact, and its
     length is right up to half a turn, where a logarithm is not unique.

@@ -14,14 +14,14 @@ Matrix: TypeAlias = tuple[Vector, ...]
 
 
 def numbers(array: Float[Array, "..."], depth: int) -> PyTree:
-    """Return the entries along the first `depth` axes as nested tuples."""
+    """Entries along the first `depth` axes as nested tuples."""
     if depth == 0:
         return array
     return tuple(numbers(array[i], depth - 1) for i in range(array.shape[0]))
 
 
 def dot(left: Vector, right: Vector) -> Array:
-    """Return the scalar product."""
+    """Scalar product."""
     total = left[0] * right[0]
     for a, b in zip(left[1:], right[1:], strict=True):
         total = total + a * b
@@ -29,19 +29,19 @@ def dot(left: Vector, right: Vector) -> Array:
 
 
 def add(first: Vector, *others: Vector) -> Vector:
-    """Return the sum of vectors."""
+    """Sum of vectors."""
     for other in others:
         first = tuple(a + b for a, b in zip(first, other, strict=True))
     return first
 
 
 def scale(factor: Array, vector: Vector) -> Vector:
-    """Return a multiple of a vector."""
+    """Multiple of a vector."""
     return tuple(factor * x for x in vector)
 
 
 def cross(a: Vector, b: Vector) -> Vector:
-    """Return the cross product."""
+    """Cross product."""
     return (
         a[1] * b[2] - a[2] * b[1],
         a[2] * b[0] - a[0] * b[2],
@@ -50,27 +50,27 @@ def cross(a: Vector, b: Vector) -> Vector:
 
 
 def transpose(matrix: Matrix) -> Matrix:
-    """Return the transposed matrix."""
+    """Transposed matrix."""
     return tuple(zip(*matrix, strict=True))
 
 
 def apply(matrix: Matrix, vector: Vector) -> Vector:
-    """Return matrix times vector."""
+    """Matrix times vector."""
     return tuple(dot(row, vector) for row in matrix)
 
 
 def product(left: Matrix, right: Matrix) -> Matrix:
-    """Return the product of matrices."""
+    """Product of matrices."""
     columns = transpose(right)
     return tuple(tuple(dot(row, column) for column in columns) for row in left)
 
 
 def add_matrices(left: Matrix, right: Matrix) -> Matrix:
-    """Return the sum of matrices."""
+    """Sum of matrices."""
     return tuple(add(a, b) for a, b in zip(left, right, strict=True))
 
 
 def symmetric(entry: Callable[[int, int], Array]) -> Matrix:
-    """Return a symmetric 3 x 3 matrix from its upper entries."""
+    """Symmetric 3 x 3 matrix from its upper entries."""
     upper = {(i, j): entry(i, j) for i in range(3) for j in range(i, 3)}
     return tuple(tuple(upper[min(i, j), max(i, j)] for j in range(3)) for i in range(3))

@@ -16,7 +16,7 @@ _AXES_CROSSED = np.cross(np.eye(3)[:, None], np.eye(3)[None])
 def cross(
     left: Float[Array, "*batch 3"], right: Float[Array, "*batch 3"]
 ) -> Float[Array, "*batch 3"]:
-    """Return the cross product."""
+    """Cross product."""
     # One fused sum: of components each is a call, and its derivative two.
     terms = left[..., :, None] * right[..., None, :]
     shape = (1,) * (terms.ndim - 2) + (3, 3, 3)
@@ -27,14 +27,14 @@ def cross(
 def matrix_product(
     left: Float[Array, "*batch a b"], right: Float[Array, "*batch b c"]
 ) -> Float[Array, "*batch a c"]:
-    """Return the product of small matrices as a fusible sum."""
+    """Product of small matrices as a fusible sum."""
     return jnp.sum(left[..., :, :, None] * right[..., None, :, :], axis=-2)
 
 
 def apply_matrix(
     matrix: Float[Array, "*batch a b"], vector: Float[Array, "*batch b"]
 ) -> Float[Array, "*batch a"]:
-    """Return the product of a small matrix and a vector as a fusible sum."""
+    """Product of a small matrix and a vector as a fusible sum."""
     return jnp.sum(matrix * vector[..., None, :], axis=-1)
 
 
@@ -50,7 +50,7 @@ def inertia_rows(
     centers: Float[Array, "joint 3"],
     inertias: Float[Array, "joint 3 3"],
 ) -> Float[Array, "joint 13"]:
-    """Return inertias about the origin from those about the centres of mass.
+    """Inertias about the origin from those about the centres of mass.
 
     Args:
         masses: [kg], shape (joint,).
@@ -76,7 +76,7 @@ def apply_inertia(
     linear: Float[Array, "joint 3"],
     angular: Float[Array, "joint 3"],
 ) -> tuple[Float[Array, "joint 3"], Float[Array, "joint 3"]]:
-    """Return inertia times motion: force and moment, or the two momenta."""
+    """Inertia times motion: force and moment, or the two momenta."""
     first = rows[:, 1:4]
     about_origin = rows[:, 4:].reshape(rows.shape[0], 3, 3)
     return (

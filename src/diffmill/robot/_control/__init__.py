@@ -1,1 +1,1 @@
-"""What stands between the program and the motors."""
+"""The controller between the program and the motors."""

@@ -44,20 +44,22 @@ EachJoint: TypeAlias = (
     Float[Array, " joint"] | Float[np.ndarray, " joint"] | RealScalarLike
 )
 Interpolation: TypeAlias = Literal["hold", "linear", "spline"]
-# Cycles by which the kinds of interpolation come late: a drive that goes from one point
-# to the next has to know the next, and a spline one more.
-_LATE_CYCLES = {"hold": 0.5, "linear": 1.0, "spline": 2.0}
+# Mean delay of each interpolation [cycles]: a drive that goes from one point to the
+# next has to know the next, and a spline one more.
+_DELAY_CYCLES = {"hold": 0.5, "linear": 1.0, "spline": 2.0}
 # Cycles back to the first set point that an instant may need.
-_USED_CYCLES = {"hold": 1.0, "linear": 2.0, "spline": 4.0}
-# What must be above zero, as one number or as one for each joint.
-_NUMBERS = ("moving_average", "shaper_frequency", "interpolation_cycle", "low_pass")
-_EACH_JOINT = ("bandwidth", "damping_ratio")
+_MEMORY_CYCLES = {"hold": 1.0, "linear": 2.0, "spline": 4.0}
+# Parameters above zero, as one number or as one for each joint.
+_POSITIVE_NUMBERS = (
+    *("moving_average", "shaper_frequency", "interpolation_cycle", "low_pass"),
+)
+_POSITIVE_PER_JOINT = ("bandwidth", "damping_ratio")
 # Parts of a tooth period in which low-pass and servos see a staircase.
 _STAIRCASE_PARTS = 4
 
 
 class RowSpan(NamedTuple):
-    """Rows of the command of which the motors at one row follow, servos apart.
+    """Rows of the command on which the motors at one row depend, servos apart.
 
     Attributes:
         before: Rows before it, at least 1.
@@ -68,25 +70,12 @@ class RowSpan(NamedTuple):
     ahead: int
 
 
-class _SetPoints(NamedTuple):
-    """What servos are given at some instants.
-
-    Attributes:
-        rows: Positions [rad or m], shape (instant, joint).
-        share: How much of an interpolation cycle has passed since the last set point,
-            shape (instant,); None without cycles.
-    """
-
-    rows: Float[Array, "instant joint ..."]
-    share: Float[Array, " instant"] | None
-
-
 class _Lags(eqx.Module):
-    """State of low-pass and servos; what is absent is None.
+    """State of low-pass and servos; None for an absent part.
 
     Attributes:
-        filtered: What the low-pass gives [rad or m], shape (joint,).
-        position: What the servos do [rad or m], shape (joint,).
+        filtered: Output of the low-pass [rad or m], shape (joint,).
+        position: Output of the servos [rad or m], shape (joint,).
         speed: Its rate of change over w, of servos of second order, shape (joint,).
     """
 
@@ -95,13 +84,13 @@ class _Lags(eqx.Module):
     speed: Float[Array, "joint ..."] | None = None
 
     def plus(self, rows: Float[Array, "joint ..."]) -> "_Lags":
-        """Return the state where all positions are higher by some."""
+        """State with all positions shifted by the same rows."""
         add = lambda x: None if x is None else x + rows
         return _Lags(add(self.filtered), add(self.position), self.speed)
 
 
 class ControllerState(eqx.Module):
-    """What a controller remembers at a row of a path, on the clock of `motors`.
+    """State of a controller at a row of a path, on the clock of `motors`.
 
     Attributes:
         before: Commanded motors at the rows before, shape (row, joint).
@@ -116,18 +105,18 @@ class ControllerState(eqx.Module):
     ahead: int = eqx.field(static=True)
 
     def of_changes(self, directions: int) -> "ControllerState":
-        """Return the state of changes in some directions that begin at the row."""
-        still = lambda x: jnp.zeros((*x.shape, directions), x.dtype)
-        before, lags = jax.tree.map(still, (self.before, self.lags))
+        """State of changes in some directions that begin at the row."""
+        zeros = lambda x: jnp.zeros((*x.shape, directions), x.dtype)
+        before, lags = jax.tree.map(zeros, (self.before, self.lags))
         return ControllerState(before, lags, self.row, self.ahead)
 
 
 class ControlledPiece(NamedTuple):
-    """What the motors do in some rows of a path.
+    """Motor positions in some rows of a path, and the controller's state behind them.
 
     Attributes:
         motors: Motor positions [rad or m], shape (step, joint).
-        state: The controller's at the last of these rows.
+        state: State of the controller at the last of these rows.
     """
 
     motors: Float[Array, "step joint ..."]
@@ -145,7 +134,7 @@ class Controller(eqx.Module):
             rest [Hz].
         shaper_damping_ratio: Damping ratio of that mode, below 1 [-].
         interpolation_cycle: Cycle T_c of the set points [s].
-        interpolation: What the drive makes of them: "hold", a staircase; "linear", a
+        interpolation: The drive's path through them: "hold", a staircase; "linear", a
             polygon; "spline", cubic pieces with continuous speed.
         dead_time: Time t_0 until a command acts at all [s].
         low_pass: Cut-off frequency w_f / (2 pi) of a low-pass of first order [Hz].
@@ -166,16 +155,20 @@ class Controller(eqx.Module):
     damping_ratio: EachJoint | None = None
 
     def __check_init__(self):
-        if self.interpolation not in _LATE_CYCLES:
+        if self.interpolation not in _DELAY_CYCLES:
             raise ValueError(
                 "Argument `interpolation` must be one of "
-                f"{', '.join(_LATE_CYCLES)}, but is {self.interpolation!r}."
+                f"{', '.join(_DELAY_CYCLES)}, but is {self.interpolation!r}."
             )
         if self.damping_ratio is not None and self.bandwidth is None:
             raise ValueError(
                 "Argument `damping_ratio` must come with a `bandwidth`, but has none."
             )
-        for names, shapes in ((_NUMBERS, ((),)), (_EACH_JOINT, ((), (None,)))):
+        per_joint = ((), (None,))
+        for names, shapes in (
+            (_POSITIVE_NUMBERS, ((),)),
+            (_POSITIVE_PER_JOINT, per_joint),
+        ):
             for name in names:
                 value = getattr(self, name)
                 if value is not None:
@@ -203,7 +196,7 @@ class Controller(eqx.Module):
         if self.shaper_frequency is not None:
             late = late + self._shaper()[1] / (2 * number(self.shaper_frequency))
         if self.interpolation_cycle is not None:
-            cycles = _LATE_CYCLES[self.interpolation]
+            cycles = _DELAY_CYCLES[self.interpolation]
             late = late + cycles * number(self.interpolation_cycle)
         if self.dead_time is not None:
             late = late + number(self.dead_time)
@@ -216,7 +209,7 @@ class Controller(eqx.Module):
     def motors(
         self, commands: Float[Array, "step joint ..."], time_step: RealScalarLike
     ) -> Float[Array, "step joint ..."]:
-        """Return what the motors do, on a clock that is late by `delay`.
+        """Motor positions on a clock that is late by `delay` [rad or m].
 
         Args:
             commands: Commanded motor positions [rad or m], shape (step, joint), or
@@ -229,7 +222,7 @@ class Controller(eqx.Module):
         return self._respond(commands, time_step, self.delay)
 
     def span(self, time_step: RealScalarLike) -> RowSpan:
-        """Return of which rows of the command the motors at a row follow.
+        """Rows of the command on which the motors at one row depend.
 
         Args:
             time_step: Time between two rows [s].
@@ -241,8 +234,8 @@ class Controller(eqx.Module):
             latest -= float(self.dead_time)
         earliest = latest
         if self.interpolation_cycle is not None:
-            used = _USED_CYCLES[self.interpolation]
-            earliest -= used * float(self.interpolation_cycle)
+            cycles = _MEMORY_CYCLES[self.interpolation]
+            earliest -= cycles * float(self.interpolation_cycle)
         if self.moving_average is not None:
             earliest -= float(self.moving_average)
         if self.shaper_frequency is not None:
@@ -258,23 +251,23 @@ class Controller(eqx.Module):
         before: int,
         ahead: int,
     ) -> ControllerState:
-        """Return the state at row 0 of a path, before which the command stands still.
+        """State at row 0 of a path, before which the command stands still.
 
         Args:
             commands: Commanded motor positions at the first rows, more than `ahead`
                 [rad or m], shape (step, joint).
             time_step: Time between two rows [s].
-            before: As of `span`.
-            ahead: As of `span`.
+            before: Rows before a row that `follow` needs, as `span` tells.
+            ahead: Rows behind it.
 
         **Differentiability**: that of `motors`.
         """
         start, T = commands[:1], jnp.asarray(time_step, commands.dtype)
         signal = Signal(commands - start, T)
-        lags = self._begun(signal, self.delay.astype(commands.dtype) / T)
-        still = jnp.broadcast_to(start, (before, *start.shape[1:]))
+        lags = self._initial_lags(signal, self.delay.astype(commands.dtype) / T)
+        standstill = jnp.broadcast_to(start, (before, *start.shape[1:]))
         row = jnp.zeros((), jnp.int32)
-        return ControllerState(still, lags.plus(start[0]), row, ahead)
+        return ControllerState(standstill, lags.plus(start[0]), row, ahead)
 
     def follow(
         self,
@@ -282,13 +275,13 @@ class Controller(eqx.Module):
         time_step: RealScalarLike,
         state: ControllerState,
     ) -> ControlledPiece:
-        """Return what the motors do in some rows of a path, and the state after them.
+        """Motor positions in some rows of a path, and the state after them.
 
-        The pieces one after the other are what `motors` returns of the path.
+        The pieces one after the other are the result of `motors` for the whole path.
 
         Args:
             commands: Commanded motor positions at these rows and `state.ahead` more
-                [rad or m], shape (row, joint), or changes as of `motors`.
+                [rad or m], shape (row, joint), or changes of them as for `motors`.
             time_step: Time between two rows [s].
             state: State at the first of the rows, the last of the piece before.
 
@@ -306,7 +299,7 @@ class Controller(eqx.Module):
         first: Float[Array, ""],
         state: ControllerState,
     ) -> ControlledPiece:
-        """Return `follow`, the time step T in seconds, instant of row 0 in rows."""
+        """Result of `follow`, the time step T in seconds, instant of row 0 in rows."""
         count, back = commands.shape[0] - state.ahead, state.before.shape[0]
         known = jnp.concatenate([state.before, commands])
         start = known[:1]
@@ -314,18 +307,18 @@ class Controller(eqx.Module):
         lags = state.lags.plus(-start[0])
         rows, lags = self._rows(signal, first, lags, row=state.row, count=count)
         last = count - 1
-        ended = ControllerState(
+        state_at_last = ControllerState(
             known[last : last + back],
             lags.plus(start[0]),
             state.row + last,
             state.ahead,
         )
-        return ControlledPiece(start + rows, ended)
+        return ControlledPiece(start + rows, state_at_last)
 
     def respond(
         self, commands: Float[Array, "step joint ..."], time_step: RealScalarLike
     ) -> Float[Array, "step joint ..."]:
-        """Return what the motors do at the instants of the commands, delay and all.
+        """Motor positions at the instants of the commands, delay included [rad or m].
 
         Arguments, result and **Differentiability** are those of `motors`.
         """
@@ -337,12 +330,12 @@ class Controller(eqx.Module):
         time_step: RealScalarLike,
         first: Float[Array, ""],
     ) -> Float[Array, "step joint ..."]:
-        """Return what the motors do at instants that begin at some time [s]."""
+        """Motor positions at instants that begin at some time [s]."""
         T = jnp.asarray(time_step, commands.dtype)
         return self._in(T.dtype)._responded(commands, T, first.astype(T.dtype) / T)
 
     def _in(self, dtype: jnp.dtype) -> "Controller":
-        """Return the controller with arrays of numbers: others compile nothing new."""
+        """Controller whose numbers are arrays, so that others compile nothing new."""
         return jax.tree.map(lambda x: jnp.asarray(x, dtype), self)
 
     @eqx.filter_jit
@@ -352,11 +345,11 @@ class Controller(eqx.Module):
         T: Float[Array, ""],
         first: Float[Array, ""],
     ) -> Float[Array, "step joint ..."]:
-        """Return `_respond`, the time step T in seconds, the first instant in rows."""
-        # From where it starts, so that no digits are lost in integrals over the time.
+        """Result of `_respond`, the time step T in seconds, first instant in rows."""
+        # Relative to the start, so that no digits are lost in integrals over the time.
         start = commands[:1]
         signal = Signal(commands - start, T)
-        lags, row = self._begun(signal, first), jnp.zeros((), jnp.int32)
+        lags, row = self._initial_lags(signal, first), jnp.zeros((), jnp.int32)
         count = commands.shape[0]
         rows, _ = self._rows(signal, first, lags, row=row, count=count)
         return start + rows
@@ -374,14 +367,14 @@ class Controller(eqx.Module):
         row: Int[Array, ""],
         count: int,
     ) -> tuple[Float[Array, "step joint ..."], _Lags]:
-        """Return what the motors do in some rows, and the state at the last of them.
+        """Motor positions in some rows, and the state at the last of them.
 
         Args:
             signal: The command.
             first: Instant of row 0 of the path [rows].
             lags: State at the first of the rows.
             row: Index of the first.
-            count: How many rows.
+            count: Number of rows.
         """
         is_staircase = self.interpolation == "hold" and (
             self.interpolation_cycle is not None
@@ -402,8 +395,8 @@ class Controller(eqx.Module):
         rows, lags = self._lagged(rows, step, lags, since)
         return rows[::parts], lags
 
-    def _begun(self, signal: Signal, first: Float[Array, ""]) -> _Lags:
-        """Return the state of low-pass and servos at row 0, at some instant [rows].
+    def _initial_lags(self, signal: Signal, first: Float[Array, ""]) -> _Lags:
+        """State of low-pass and servos at row 0, at some instant [rows].
 
         A motion that has begun before is followed with the lag of its speed.
         """
@@ -417,7 +410,7 @@ class Controller(eqx.Module):
             span = jnp.maximum(span, jnp.asarray(self.interpolation_cycle, dtype))
         rest = jnp.stack([first - span / signal.time_step, first])
         at = Instants(jnp.zeros(2, jnp.int32), rest)
-        ends = self._set_points(signal, at).rows
+        ends, _ = self._set_points(signal, at)
         rate, now = (ends[1] - ends[0]) / span, ends[1]
         filtered = position = speed = None
         if self.low_pass is not None:
@@ -430,20 +423,26 @@ class Controller(eqx.Module):
                 speed = rate / column(w)
         return _Lags(filtered, position, speed)
 
-    def _set_points(self, signal: Signal, at: Instants) -> _SetPoints:
-        """Return what the servos are given at some instants."""
+    def _set_points(
+        self, signal: Signal, at: Instants
+    ) -> tuple[Float[Array, "instant joint ..."], Float[Array, " instant"] | None]:
+        """Set points of the servos at some instants [rad or m], and shares of a cycle.
+
+        The share of an interpolation cycle that has passed since the last set point has
+        shape (instant,); it is None without cycles.
+        """
         rows = lambda time: jnp.asarray(time, at.rest.dtype) / signal.time_step
         if self.dead_time is not None:
             at = at.earlier(rows(self.dead_time))
         if self.interpolation_cycle is None:
-            return _SetPoints(self._filtered(signal, at), None)
+            return self._filtered(signal, at), None
         cycle = rows(self.interpolation_cycle)
         s = at.shares_of_turns(1 / cycle)
         point = lambda back: self._filtered(signal, at.earlier((s + back) * cycle))
         if self.interpolation == "hold":
-            return _SetPoints(point(0), s)
+            return point(0), s
         if self.interpolation == "linear":
-            return _SetPoints(shared(1 - s, point(1)) + shared(s, point(0)), s)
+            return shared(1 - s, point(1)) + shared(s, point(0)), s
         # Catmull and Rom's cubic between the second and third of four points.
         weights = (
             -0.5 * s + s**2 - 0.5 * s**3,
@@ -452,12 +451,12 @@ class Controller(eqx.Module):
             -0.5 * s**2 + 0.5 * s**3,
         )
         points = [shared(w, point(3 - i)) for i, w in enumerate(weights)]
-        return _SetPoints(points[0] + points[1] + points[2] + points[3], s)
+        return points[0] + points[1] + points[2] + points[3], s
 
     def _filtered(
         self, signal: Signal, at: Instants
     ) -> Float[Array, "instant joint ..."]:
-        """Return the averaged and shaped command at some instants."""
+        """Averaged and shaped command at some instants [rad or m]."""
         dtype = at.rest.dtype
         rows = lambda time: jnp.asarray(time, dtype) / signal.time_step
         if self.moving_average is None:
@@ -472,13 +471,13 @@ class Controller(eqx.Module):
         return first * mean(at) + second * mean(at.earlier(half))
 
     def _shaper(self) -> tuple[Float[Array, ""], Float[Array, ""]]:
-        """Return the shares of the two parts of the input shaper."""
+        """Amplitudes A_1 and A_2 of the input shaper [-]."""
         zeta = jnp.asarray(self.shaper_damping_ratio, float)
         K = jnp.exp(-zeta * math.pi / jnp.sqrt(1 - zeta**2))
         return 1 / (1 + K), K / (1 + K)
 
     def _servo_lag(self) -> Float[Array, "*joint"]:
-        """Return by how much the servos come late to a slow motion [s]."""
+        """Delay of the servos behind a slow motion [s]."""
         assert self.bandwidth is not None
         lag = 1 / (2 * math.pi * jnp.asarray(self.bandwidth, float))
         if self.damping_ratio is None:
@@ -492,13 +491,14 @@ class Controller(eqx.Module):
         lags: _Lags,
         since: Jumps | None,
     ) -> tuple[Float[Array, "instant joint ..."], _Lags]:
-        """Return what low-pass and servos make of set points, and their last state.
+        """Response of low-pass and servos to set points, and their last state.
 
         Args:
             rows: The set points.
             step: Time between them [s].
             lags: State at the first.
-            since: The jumps to each of the others; None for linear ones.
+            since: The jumps to each of the others; None for an input that is linear
+                between them.
         """
         dtype, joints = rows.dtype, rows.shape[1]
         each = lambda x: jnp.broadcast_to(jnp.asarray(x, dtype), (joints,))
@@ -508,7 +508,7 @@ class Controller(eqx.Module):
             assert lags.filtered is not None
             w = column(2 * math.pi * each(self.low_pass))
             rows = first_order(rows, w, step, lags.filtered, since)
-            # What comes out has no jumps.
+            # The output of a low-pass has no jumps.
             filtered, since = rows[-1], None
         if self.bandwidth is None:
             return rows, _Lags(filtered)

@@ -5,7 +5,7 @@ beside the servo's time would round away what it changes.
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 
 
 class Jumps(NamedTuple):
-    """How long before the end of each step its input jumped, shape (step,) each.
+    """Times from the jumps of the input to the end of each step, shape (step,) each.
 
     Attributes:
         mean: Mean time since the jumps of the step [s].
@@ -27,11 +27,11 @@ class Jumps(NamedTuple):
     def of_cycles(
         count: Float[Array, " step"], share: Float[Array, " step"], cycle: Array
     ) -> "Jumps":
-        """Return jumps of like size, a cycle apart.
+        """Jumps of like size, a cycle apart.
 
         Args:
-            count: How many in each step.
-            share: How much of a cycle has passed since the last of them.
+            count: Number of jumps in each step.
+            share: Share of a cycle that has passed since the last of them.
             cycle: The cycle [s].
         """
         count = jnp.maximum(count, 1)
@@ -46,21 +46,21 @@ def first_order(
     begun: Float[Array, "joint ..."],
     since: Jumps | None,
 ) -> Float[Array, "instant joint ..."]:
-    """Return what y' = w (u - y) makes of rows.
+    """Response y of lags of first order, y' = w (u - y), to an input u.
 
     Args:
         rows: The input u at some instants.
         w: Frequencies, shape (joint,) or more [rad/s].
         step: Time between the instants [s].
         begun: y at the first.
-        since: How the input jumped to each of the others; None for one that is linear
+        since: Jumps of the input to each of the others; None for one that is linear
             between them.
     """
     rises = jnp.diff(rows, axis=0)
     if since is None:
         late = (-jnp.expm1(-w * step) / (w * step))[None]
     else:
-        # The mean of what jumps leave, to the second order of their spread.
+        # Mean lag that the jumps leave, to the second order of their spread.
         late = jnp.exp(-_times(since.mean, w))
         late = late * (1 + _times(since.variance, w**2) / 2)
     E = jnp.exp(-w * step)
@@ -69,27 +69,26 @@ def first_order(
         lag = E * lag + behind
         return lag, lag
 
-    begun = rows[0] - begun
-    _, found = jax.lax.scan(advance, begun, late * rises)
-    return rows - jnp.concatenate([begun[None], found])
+    first_lag = rows[0] - begun
+    _, lags = jax.lax.scan(advance, first_lag, late * rises)
+    return rows - jnp.concatenate([first_lag[None], lags])
 
 
 def _times(
     since: Float[Array, " step"], w: Float[Array, "joint ..."]
 ) -> Float[Array, "step joint ..."]:
-    """Return times in those of the joints, 1 / w."""
+    """Times in units of the joints' own, 1 / w [-]."""
     return since.reshape(-1, *(1,) * w.ndim) * w[None]
 
 
-class _Servo(NamedTuple):
-    """State of a system of second order: the lag u - y, and v = y' / w."""
-
-    lag: Array
-    v: Array
-
-
 class _Transition(NamedTuple):
-    """What is left of the state of a servo; the lag that v leaves is -v_of_lag."""
+    """State of a servo, lag u - y and v = y' / w, after a time without a new input.
+
+    Attributes:
+        lag_of_lag: Lag left of a unit lag.
+        v_of_lag: v left of a unit lag; a unit v leaves the lag -v_of_lag.
+        v_of_v: v left of a unit v.
+    """
 
     lag_of_lag: Array
     v_of_lag: Array
@@ -115,43 +114,47 @@ class SecondOrder(NamedTuple):
         speed: Float[Array, "joint ..."],
         since: Jumps | None,
     ) -> tuple[Float[Array, "instant joint ..."], Float[Array, "joint ..."]]:
-        """Return what they make of rows, and the last v.
+        """Response y of the servos to an input u, and the last v = y' / w.
 
         Args:
-            rows: As of `first_order`, as all that is not named.
-            step: As there.
-            begun: As there.
+            rows: The input u at some instants.
+            step: Time between the instants [s].
+            begun: y at the first.
             speed: v at the first.
-            since: As there.
+            since: Jumps of the input to each of the others; None for one that is
+                linear between them.
         """
         rises, free = jnp.diff(rows, axis=0), self._after(self.w * step)
         if since is None:
-            # Of a ramp: the integral of what a jump leaves, over the step.
+            # Of a ramp: the integral over the step of the state that a jump leaves.
             x, fallen = self.w * step, 1 - free.lag_of_lag
             lag = (2 * self.zeta * fallen + free.v_of_lag) / x
-            behind = _Servo(lag[None] * rises, (fallen / x)[None] * rises)
+            added = lag[None] * rises, (fallen / x)[None] * rises
         else:
             at = self._after(_times(since.mean, self.w))
-            # The second derivative of what a jump leaves, from the servo's equation.
+            # Second derivative of the state that a jump leaves, from its equation.
             half, zeta = _times(since.variance, self.w**2) / 2, self.zeta[None]
             bent = half * (2 * zeta * at.v_of_lag - at.lag_of_lag)
             turned = (4 * zeta**2 - 1) * at.v_of_lag - 2 * zeta * at.lag_of_lag
-            behind = _Servo(
-                (at.lag_of_lag + bent) * rises, (at.v_of_lag + half * turned) * rises
+            added = (
+                (at.lag_of_lag + bent) * rises,
+                (at.v_of_lag + half * turned) * rises,
             )
 
-        def advance(state: _Servo, behind: _Servo) -> tuple[_Servo, Array]:
-            lag = free.lag_of_lag * state.lag - free.v_of_lag * state.v
-            v = free.v_of_lag * state.lag + free.v_of_v * state.v
-            state = _Servo(lag + behind.lag, v + behind.v)
-            return state, state.lag
+        def advance(state: Any, added: Any) -> tuple[Any, Array]:
+            lag, v = state
+            lag, v = (
+                free.lag_of_lag * lag - free.v_of_lag * v + added[0],
+                free.v_of_lag * lag + free.v_of_v * v + added[1],
+            )
+            return (lag, v), lag
 
-        begun = rows[0] - begun
-        (_, ended), found = jax.lax.scan(advance, _Servo(begun, speed), behind)
-        return rows - jnp.concatenate([begun[None], found]), ended
+        first_lag = rows[0] - begun
+        (_, last_speed), lags = jax.lax.scan(advance, (first_lag, speed), added)
+        return rows - jnp.concatenate([first_lag[None], lags]), last_speed
 
-    def _after(self, x: Float[Array, "..."]) -> "_Transition":
-        """Return what is left of a state after x = w t in which u stands still.
+    def _after(self, x: Float[Array, "..."]) -> _Transition:
+        """Transition of the state over x = w t, in which u stands still.
 
         The exponential of [[0, -1], [1, -2 zeta]] x, in closed form.
         """
@@ -164,7 +167,7 @@ class SecondOrder(NamedTuple):
         is_over, s = away > 0, jnp.sqrt(jnp.abs(away))
         r = jnp.where(is_near, 1.0, s * x)
         decay = jnp.exp(-zeta * x)
-        # x (s - zeta), without the difference of what is alike.
+        # x (s - zeta), without the difference of two like numbers.
         slow = jnp.exp(-jnp.where(is_over, x / (zeta + s), zeta * x))
         fast = jnp.exp(-zeta * x - jnp.where(is_over, r, 0.0))
         even = jnp.where(is_over, (slow + fast) / 2, decay * jnp.cos(r))
@@ -176,9 +179,9 @@ class SecondOrder(NamedTuple):
 
 
 def _series(k: Array, first: int) -> Array:
-    """Return the sum of k^n / (2 n + first)! for a small k, cosh or sinh of its root.
+    """Sum of k^n / (2 n + first)! for a small k, cosh or sinh of its root.
 
-    What six terms leave of k = 0.01 is less than rounding.
+    The error of six terms at k = 0.01 is less than rounding.
     """
     total = jnp.zeros_like(k)
     for n in reversed(range(6)):

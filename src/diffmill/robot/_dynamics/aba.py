@@ -39,15 +39,15 @@ class _Inertia(NamedTuple):
     J: Matrix
 
 
-class _Links(NamedTuple):
-    """Mass times centre of each link, and its inertia at its origin."""
-
-    first_moments: list[Vector]
-    inertias: list[_Inertia]
-
-
 class _Articulated(NamedTuple):
-    """Articulated inertia of a joint: U = I s, 1 / (s I s), I c without its part."""
+    """Articulated inertia of a joint.
+
+    Attributes:
+        U: I s, with the joint's axis s.
+        inverse: 1 / (s I s).
+        carried: I c without the part of the joint, with the rate of change c of its
+            axis; None without a motion.
+    """
 
     U: Vector
     inverse: Array
@@ -55,7 +55,7 @@ class _Articulated(NamedTuple):
 
 
 class _Motion(NamedTuple):
-    """Rates of change of the joints' axes c, and forces of motion without them."""
+    """Velocity terms: rates of change c of the joints' axes, and other forces."""
 
     drift: list[Vector]
     force: list[Vector]
@@ -75,30 +75,30 @@ def check_algorithm(robot: Robot, algorithm: str) -> None:
 
 
 def _axis(kind: str) -> int:
-    """Return the place of a joint's axis in a spatial vector."""
+    """Index of a joint's axis in a spatial vector."""
     return 2 if kind == "prismatic" else 5
 
 
 def _moved(vector: Vector, place: int, by: Array) -> Vector:
-    """Return a vector with one entry increased."""
+    """Vector with one entry increased."""
     return (*vector[:place], vector[place] + by, *vector[place + 1 :])
 
 
 def _to_link(frame: LinkFrame, motion: Vector) -> Vector:
-    """Return a motion of the parent, at the link's origin in its axes."""
+    """Motion of the parent, at the link's origin in its axes."""
     to_link = transpose(frame.rotation)
     v, w = motion[:3], motion[3:]
     return apply(to_link, add(v, cross(w, frame.position))) + apply(to_link, w)
 
 
 def _to_parent(frame: LinkFrame, force: Vector) -> Vector:
-    """Return a force on the link, at the parent's origin in its axes."""
+    """Force on the link, at the parent's origin in its axes."""
     f = apply(frame.rotation, force[:3])
     return f + add(apply(frame.rotation, force[3:]), cross(frame.position, f))
 
 
 def _inertia_to_parent(frame: LinkFrame, inertia: _Inertia) -> _Inertia:
-    """Return an inertia at the parent's origin in its axes."""
+    """Inertia at the parent's origin in its axes."""
     E, p = frame
     back = transpose(E)
     left = materialise([product(E, block) for block in inertia])
@@ -117,9 +117,10 @@ def _inertia_to_parent(frame: LinkFrame, inertia: _Inertia) -> _Inertia:
     return _Inertia(A, B_new, J_new)
 
 
-def _link_inertias(robot: Robot) -> _Links:
-    """Return mass times centre, and the inertias at the links' origins."""
-    first, inertias = [], []
+def _link_inertias(robot: Robot) -> tuple[list[Vector], list[_Inertia]]:
+    """Mass times centre of each link, and its inertia at its origin."""
+    first: list[Vector] = []
+    inertias: list[_Inertia] = []
     masses = numbers(robot.link_masses, 1)
     centers = numbers(robot.link_centers, 2)
     about_center = numbers(robot.link_inertias, 3)
@@ -133,20 +134,21 @@ def _link_inertias(robot: Robot) -> _Links:
         )
         first.append(h)
         inertias.append(_Inertia(A, B, J))
-    return materialise(_Links(first, inertias))
+    return materialise((first, inertias))
 
 
 def _motion(
     robot: Robot,
     frames: list[LinkFrame],
-    links: _Links,
+    first_moments: list[Vector],
+    inertias: list[_Inertia],
     qd: Vector,
 ) -> _Motion:
-    """Return what velocities do: drift of the axes, and forces of motion."""
+    """Velocity terms of a motion."""
     zero = jnp.zeros_like(qd[0])
     motions, drift, force = [], [], []
     for i, parent in enumerate(robot.parents):
-        h, (A, _, J) = links.first_moments[i], links.inertias[i]
+        h, (A, _, J) = first_moments[i], inertias[i]
         at_rest = (zero,) * 6
         V = _to_link(frames[i], motions[parent]) if parent >= 0 else at_rest
         turned = lambda x: (x[1] * qd[i], -x[0] * qd[i], zero)  # noqa: B023
@@ -172,8 +174,8 @@ def _articulated(
     diagonal: Vector | None,
     drift: list[Vector] | None,
 ) -> list[_Articulated]:
-    """Return what the joints feel of everything behind them, tips first."""
-    inertias, found = list(inertias), []
+    """Articulated inertias of the joints: a pass from the tips to the base."""
+    inertias, articulated = list(inertias), []
     floor = 8 * robot.body_count * float(np.finfo(robot.gravity.dtype).eps)
     for i in reversed(range(robot.body_count)):
         A, B, J = inertias[i]
@@ -194,7 +196,7 @@ def _articulated(
             k = materialise(scale(inverse, U))
             f, n = U[:3], U[3:]
             # The joint's own direction carries nothing.
-            A, B, J = rest = materialise(
+            A, B, J = remaining = materialise(
                 _Inertia(
                     symmetric(lambda i, j: A[i][j] - k[i] * f[j]),  # noqa: B023
                     tuple(add(B[i], scale(-k[i], n)) for i in range(3)),
@@ -205,13 +207,13 @@ def _articulated(
                 v, w = drift[i][:3], drift[i][3:]
                 force = add(apply(A, v), apply(B, w))
                 carried = materialise(force + add(apply(transpose(B), v), apply(J, w)))
-            moved = _inertia_to_parent(frames[i], rest)
+            moved = _inertia_to_parent(frames[i], remaining)
             pairs = zip(inertias[parent], moved, strict=True)
             inertias[parent] = materialise(
                 _Inertia(*(add_matrices(a, b) for a, b in pairs))
             )
-        found.append(_Articulated(U, inverse, carried))
-    return found[::-1]
+        articulated.append(_Articulated(U, inverse, carried))
+    return articulated[::-1]
 
 
 def _accelerations(
@@ -222,7 +224,7 @@ def _accelerations(
     motion: _Motion | None,
     base: Vector,
 ) -> Vector:
-    """Return the joints' accelerations under torques and forces on the links."""
+    """Accelerations of the joints under torques and forces on the links."""
     zero = jnp.zeros_like(tau[0])
     force = [(zero,) * 6] * robot.body_count if motion is None else list(motion.force)
     axes = [_axis(kind) for kind in robot.body_kinds]
@@ -235,14 +237,14 @@ def _accelerations(
             f = add(force[i], scale(u[i], U))
             f = materialise(f if carried is None else add(f, carried))
             force[parent] = materialise(add(force[parent], _to_parent(frames[i], f)))
-    found, motions = [], []
+    accelerations, motions = [], []
     for i, parent in enumerate(robot.parents):
         a = _to_link(frames[i], motions[parent] if parent >= 0 else base)
         a = materialise(a if motion is None else add(a, motion.drift[i]))
         qdd = materialise(u[i] - joints[i].inverse * dot(joints[i].U, a))
-        found.append(qdd)
+        accelerations.append(qdd)
         motions.append(materialise(_moved(a, axes[i], qdd)))
-    return tuple(found)
+    return tuple(accelerations)
 
 
 def _add_wrench(
@@ -273,13 +275,13 @@ def _aba(
     wrench: Float[Array, "6 ..."],
 ) -> Float[Array, "joint ..."]:
     frames = link_frames(robot, numbers(q, 1))
-    links = _link_inertias(robot)
-    motion = _motion(robot, frames, links, numbers(qd, 1))
+    first_moments, inertias = _link_inertias(robot)
+    motion = _motion(robot, frames, first_moments, inertias, numbers(qd, 1))
     _add_wrench(robot, frames, motion.force, numbers(wrench, 1))
-    joints = _articulated(robot, frames, links.inertias, None, motion.drift)
+    joints = _articulated(robot, frames, inertias, None, motion.drift)
     base = base_acceleration(robot, q[0])
-    found = _accelerations(robot, frames, joints, numbers(tau, 1), motion, base)
-    return jnp.stack(found)
+    qdd = _accelerations(robot, frames, joints, numbers(tau, 1), motion, base)
+    return jnp.stack(qdd)
 
 
 def _inverse(
@@ -287,19 +289,19 @@ def _inverse(
     q: Float[Array, "joint ..."],
     diagonal: Float[Array, "joint ..."],
 ) -> Float[Array, "joint joint ..."]:
-    # One more axis of lanes, for the unit torques.
+    # One more axis of the batch, for the unit torques.
     eye = jnp.eye(robot.joint_count, dtype=q.dtype)
     tau = jnp.broadcast_to(
         eye.reshape(*eye.shape, *[1] * (q.ndim - 1)), (*eye.shape, *q.shape[1:])
     )
     frames = link_frames(robot, numbers(q[:, None], 1))
-    inertias = _link_inertias(robot).inertias
+    _, inertias = _link_inertias(robot)
     joints = _articulated(robot, frames, inertias, numbers(diagonal[:, None], 1), None)
     base = (jnp.zeros_like(tau[0]),) * 6
     return jnp.stack(_accelerations(robot, frames, joints, numbers(tau, 1), None, base))
 
 
-# Of robot, q, qd, tau and wrench; no derivatives of its own.
+# Arguments robot, q, qd, tau, wrench; no derivatives of its own.
 articulated_bodies = as_scalar_code(_aba)
-# Of robot, q and what is added to the diagonal of M.
+# Arguments robot, q, diagonal that is added to M; no derivatives of its own.
 articulated_inverse = as_scalar_code(_inverse)

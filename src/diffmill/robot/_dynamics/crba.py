@@ -15,7 +15,7 @@ from .._model.robot import JointVector, Robot, joint_vector
 
 
 def mass_matrix(robot: Robot, q: JointVector) -> Float[Array, "joint joint"]:
-    """Return the mass matrix M(q), links only (rotors are not modelled).
+    """Mass matrix M(q), links only (rotors are not modelled).
 
     Args:
         robot: The robot.
@@ -38,7 +38,7 @@ def _mass_matrix(
 def composite_mass_matrix(
     robot: Robot, frames: JointFrames, inertias: Float[Array, "body 13"]
 ) -> Float[Array, "joint joint"]:
-    """Return M from known frames and link inertias."""
+    """Mass matrix M from known frames and link inertias."""
     force = _composite_force(robot, frames, inertias)
     return _between_joints(robot, sum_rows(force, frames.screws.T))
 
@@ -46,10 +46,10 @@ def composite_mass_matrix(
 def gravity_stiffness(
     robot: Robot, frames: JointFrames, inertias: Float[Array, "body 13"]
 ) -> Float[Array, "joint joint"]:
-    """Return dG/dq, symmetric, from known frames and link inertias.
+    """Slope dG/dq, symmetric, from known frames and link inertias.
 
     A joint i before joint j turns all that j carries against gravity as if gravity
-    turned the other way, by w_i x g: the derivative of what j feels of its weight.
+    turned the other way, by w_i x g: this is the derivative of the torque of j.
     """
     force = _composite_force(robot, frames, inertias)[:, :3]
     turned = cross(
@@ -61,7 +61,7 @@ def gravity_stiffness(
 def _composite_force(
     robot: Robot, frames: JointFrames, inertias: Float[Array, "body 13"]
 ) -> Float[Array, "body 6"]:
-    """Return the force that moves all behind each joint at its unit acceleration."""
+    """Force that moves all behind each joint at its unit acceleration."""
     composite = sum_rows(robot.ancestry().T, inertias)
     S = frames.screws
     force, moment = apply_inertia(composite, S[:, :3], S[:, 3:])
@@ -69,16 +69,16 @@ def _composite_force(
 
 
 def _between_joints(
-    robot: Robot, felt: Float[Array, "body body"]
+    robot: Robot, torques: Float[Array, "body body"]
 ) -> Float[Array, "joint joint"]:
-    """Return a symmetric matrix of the joints from what ancestors feel of bodies.
+    """Symmetric matrix of the joints from the torques at the ancestors of bodies.
 
     Args:
         robot: The robot.
-        felt: Row j: of body j, what joint i feels; it holds where i is an ancestor
-            of j.
+        torques: Row j, column i: torque at joint i from body j; it holds where i is an
+            ancestor of j.
     """
     moves = robot.ancestry()
-    strictly = moves - jnp.eye(robot.body_count, dtype=felt.dtype)
-    whole = moves * felt + (strictly * felt).T
+    strictly = moves - jnp.eye(robot.body_count, dtype=torques.dtype)
+    whole = moves * torques + (strictly * torques).T
     return fold(robot, fold(robot, whole).T)

@@ -13,7 +13,7 @@ from .crba import composite_mass_matrix
 def mechanical_energy(
     robot: Robot, q: JointVector, qd: JointVector, theta: JointVector
 ) -> Float[Array, ""]:
-    """Return the energy of the arm with linear springs.
+    """Energy of the arm with linear springs.
 
         E = qd^T M qd / 2 + (theta - q)^T K (theta - q) / 2 - sum m g . c
 

@@ -28,7 +28,7 @@ def forward_dynamics(
     *,
     algorithm: str = "crba",
 ) -> Float[Array, " joint"]:
-    """Return the joint accelerations: M^-1 (tau + J^T F - C - G).
+    """Joint accelerations: M^-1 (tau + J^T F - C - G).
 
     Gravity is included; springs and dampers of the drives are not. Derivatives do not
     go through the algorithm: M d(qdd) = d(tau) - d(inverse dynamics) at constant qdd.

@@ -1,4 +1,4 @@
-"""Frames of the links, number by number: what both walks over a robot begin with."""
+"""Frames of the links, number by number: both walks over a robot begin with them."""
 
 from typing import NamedTuple
 
@@ -26,11 +26,11 @@ class LinkFrame(NamedTuple):
 
 
 def link_frames(robot: Robot, q: Vector) -> list[LinkFrame]:
-    """Return the frames of all links, each in its parent's.
+    """Frames of all links, each in its parent's.
 
     Args:
         robot: The robot.
-        q: Where the joint of every body stands [rad or m].
+        q: Position of the joint of every body [rad or m].
     """
     frames = []
     rotations = numbers(robot.placement_rotations, 3)
@@ -47,14 +47,14 @@ def link_frames(robot: Robot, q: Vector) -> list[LinkFrame]:
 
 
 def tool_origin(robot: Robot) -> Vector:
-    """Return the tool's origin in the frame of the body that carries the flange [m]."""
+    """Tool's origin in the frame of the body that carries the flange [m]."""
     T_joint_flange = numbers(robot.T_joint_flange, 2)
     tip = tuple(row[3] for row in numbers(robot.T_flange_tool, 2)[:3])
     return tuple(dot(row[:3], tip) + row[3] for row in T_joint_flange[:3])
 
 
 def base_acceleration(robot: Robot, like: Float[Array, "..."]) -> Vector:
-    """Return the upward acceleration of the base that gravity is, linear part first."""
+    """Upward acceleration of the base that gravity is, linear part first."""
     zero = jnp.zeros_like(like)
     upward: tuple[Array, ...] = tuple(zero - g for g in numbers(robot.gravity, 1))
     return upward + (zero,) * 3

@@ -1,4 +1,4 @@
-"""Inverse dynamics by recursive Newton-Euler, and what follows from it.
+"""Inverse dynamics by recursive Newton-Euler, and torques of gravity.
 
 Featherstone, Rigid Body Dynamics Algorithms, 2008, section 5.3, with all spatial
 quantities about one point: both recursions become sums over ancestors and over
@@ -27,7 +27,7 @@ def inverse_dynamics(
     qdd: JointVector,
     wrench: Wrench | None = None,
 ) -> Float[Array, " joint"]:
-    """Return the joint torques of a motion: M qdd + C + G - J^T F.
+    """Joint torques of a motion: M qdd + C + G - J^T F.
 
     Args:
         robot: The robot.
@@ -50,7 +50,7 @@ def inverse_dynamics(
 
 
 def gravity_forces(robot: Robot, q: JointVector) -> Float[Array, " joint"]:
-    """Return G(q): the torques that hold the robot against gravity.
+    """Torques G(q) that hold the robot against gravity.
 
     Args:
         robot: The robot.
@@ -85,7 +85,7 @@ def _gravity_forces(robot: Robot, q: Float[Array, " joint"]) -> Float[Array, " j
 def gravity_torques(
     robot: Robot, frames: JointFrames, inertias: Float[Array, "body 13"]
 ) -> Float[Array, " joint"]:
-    """Return G from known frames and link inertias."""
+    """Torques of gravity G from known frames and link inertias [N m or N]."""
     lift = jnp.broadcast_to(-robot.gravity[None], (robot.body_count, 3))
     force = inertias[:, :1] * lift
     moment = cross(inertias[:, 1:4], lift)
@@ -101,7 +101,7 @@ def newton_euler(
     qd: Float[Array, " joint"],
     qdd: Float[Array, " joint"] | None = None,
 ) -> Float[Array, " joint"]:
-    """Return M qdd + C + G from known frames and link inertias; None: no M qdd."""
+    """Torques M qdd + C + G from known frames and link inertias; None: no M qdd."""
     # symbols: v, w velocity of a link at the tool's origin and its rate of turning
     moves = robot.ancestry()
     S = frames.screws

@@ -4,7 +4,7 @@ The derivatives of recursive Newton-Euler of Singh, Russell, Wensing, Efficient
 Analytical Derivatives of Rigid-Body Dynamics using Spatial Vector Algebra, IEEE
 Robotics and Automation Letters 7, 2022, for joints of one degree of freedom.
 Everything is in base axes about the tool's origin, linear parts first: the inertias,
-momenta and forces of what a joint carries are then sums.
+momenta and forces of all bodies that a joint carries are then sums.
 
 Of the four blocks of a rigid body's matrix B of Coriolis terms two are zero. With
 linear momentum p, angular momentum L and inertia [m, -h x; h x, J],
@@ -72,14 +72,6 @@ class _Carried(NamedTuple):
     force: Vector
 
 
-class _Joint(NamedTuple):
-    """A joint's screw S, its first and second rate as its parent moves."""
-
-    S: Vector
-    rate: Vector
-    second: Vector
-
-
 @jax.custom_jvp
 def _derivatives(
     robot: Robot,
@@ -88,7 +80,7 @@ def _derivatives(
     qdd: Float[Array, " joint"],
     wrench: Float[Array, " 6"],
 ) -> RneaDerivatives:
-    """Return how `inverse_dynamics` changes with its arguments.
+    """Derivatives of `inverse_dynamics` by the motion, and by the wrench.
 
     Args:
         robot: The robot.
@@ -97,22 +89,18 @@ def _derivatives(
         qdd: Joint accelerations [rad/s^2 or m/s^2], shape (joint,).
         wrench: External force and moment on the robot at the tool's origin in base
             axes [N, N m], shape (6,).
-
-    Returns:
-        The slopes.
     """
     n = robot.body_count
-    found = _of_bodies(
+    rows = _of_bodies(
         robot,
         unfold_positions(robot, q),
         unfold_rates(robot, qd),
         unfold_rates(robot, qdd),
         wrench,
     )
-    square = lambda k: fold(robot, fold(robot, found[k * n : (k + 1) * n]).T).T
-    return RneaDerivatives(
-        square(0), square(1), square(2), fold(robot, found[3 * n :].T).T
-    )
+    square = lambda k: fold(robot, fold(robot, rows[k * n : (k + 1) * n]).T).T
+    J = fold(robot, rows[3 * n :].T).T
+    return RneaDerivatives(square(0), square(1), square(2), J)
 
 
 @_derivatives.defjvp
@@ -131,39 +119,32 @@ def _derivatives_jvp(
 
 
 def _spatial(turn: Vector, motion: Vector) -> Vector:
-    """Return twist x motion."""
+    """Spatial cross product twist x motion."""
     v, w = turn[:3], turn[3:]
     return add(cross(w, motion[:3]), cross(v, motion[3:])) + cross(w, motion[3:])
 
 
 def _spatial_force(turn: Vector, force: Vector) -> Vector:
-    """Return twist x* force."""
+    """Spatial cross product twist x* force."""
     v, w = turn[:3], turn[3:]
     return cross(w, force[:3]) + add(cross(w, force[3:]), cross(v, force[:3]))
 
 
 def _inertia_times(body: _Carried, motion: Vector) -> Vector:
-    """Return I times a motion."""
+    """Inertia times a motion: momentum, or force."""
     v, w = motion[:3], motion[3:]
     force = add(scale(body.m, v), cross(w, body.h))
     return force + add(apply(body.J, w), cross(body.h, v))
 
 
 def _coriolis_times(body: _Carried, motion: Vector) -> Vector:
-    """Return 2 B times a motion."""
+    """Coriolis matrix 2 B times a motion."""
     w = motion[3:]
     return scale(-2.0 * jnp.ones_like(body.m), cross(body.p, w)) + apply(body.N, w)
 
 
-class _BaseFrames(NamedTuple):
+def _base_frames(robot: Robot, q: Vector) -> tuple[list[Matrix], list[Vector], Vector]:
     """Axes and origins of the links in the base, and the tool's origin [m]."""
-
-    rotations: list[Matrix]
-    positions: list[Vector]
-    tool: Vector
-
-
-def _base_frames(robot: Robot, q: Vector) -> _BaseFrames:
     rotations: list[Matrix] = []
     positions: list[Vector] = []
     for frame, parent in zip(link_frames(robot, q), robot.parents, strict=True):
@@ -178,13 +159,13 @@ def _base_frames(robot: Robot, q: Vector) -> _BaseFrames:
     if robot.flange_joint >= 0:
         turned = apply(rotations[robot.flange_joint], tool)
         tool = add(positions[robot.flange_joint], turned)
-    return _BaseFrames(rotations, positions, materialise(tool))
+    return rotations, positions, materialise(tool)
 
 
 def _body(
     robot: Robot, i: int, R: Matrix, offset: Vector, V: Vector, A: Vector
 ) -> _Carried:
-    """Return a body's inertia about the tool, and what its motion does."""
+    """Inertia of a body about the tool, and the velocity terms of its motion."""
     m = robot.link_masses[i]
     center = add(offset, apply(R, numbers(robot.link_centers[i], 1)))
     h = scale(m, center)
@@ -217,14 +198,13 @@ def _body(
     return materialise(_Carried(m, h, J, momentum[:3], N, force))
 
 
-class _Tree(NamedTuple):
-    """The joints' screws and all bodies in motion, from the base outwards."""
+def _walk(
+    robot: Robot, q: Vector, qd: Vector, qdd: Vector
+) -> tuple[list[tuple[Vector, Vector, Vector]], list[_Carried]]:
+    """Screws of the joints with two rates each, and all bodies, from the base outwards.
 
-    joints: list[_Joint]
-    bodies: list[_Carried]
-
-
-def _walk(robot: Robot, q: Vector, qd: Vector, qdd: Vector) -> _Tree:
+    The first and second rate of a screw are those that its parent's motion causes.
+    """
     rotations, positions, tool = _base_frames(robot, q)
     zero = jnp.zeros_like(q[0])
     lift = base_acceleration(robot, zero)
@@ -245,13 +225,13 @@ def _walk(robot: Robot, q: Vector, qd: Vector, qdd: Vector) -> _Tree:
         V, A = materialise((add(V, scale(qd[i], S)), A))
         velocities.append(V)
         accelerations.append(A)
-        joints.append(_Joint(S, rate, second))
+        joints.append((S, rate, second))
         bodies.append(_body(robot, i, rotations[i], offset, V, A))
-    return _Tree(joints, bodies)
+    return joints, bodies
 
 
 def _carried(robot: Robot, bodies: list[_Carried]) -> list[_Carried]:
-    """Return the sums over what every joint carries."""
+    """Sums over all bodies that each joint carries."""
     sums = list(bodies)
     for i in reversed(range(robot.body_count)):
         parent = robot.parents[i]
@@ -261,7 +241,7 @@ def _carried(robot: Robot, bodies: list[_Carried]) -> list[_Carried]:
 
 
 def _table(rows: list[Vector], like: Array) -> Float[Array, "entry body ..."]:
-    """Return one column per body, also of what is the same in all of a batch."""
+    """Vectors as columns, one per body, also where a batch shares them."""
     full = lambda entries: [jnp.broadcast_to(x, like.shape) for x in entries]
     return jnp.stack([jnp.stack(full(x)) for x in transpose(tuple(rows))])
 
@@ -269,7 +249,7 @@ def _table(rows: list[Vector], like: Array) -> Float[Array, "entry body ..."]:
 def _pairs(
     left: Float[Array, "entry body ..."], right: Float[Array, "entry body ..."]
 ) -> Float[Array, "body body ..."]:
-    """Return the scalar product of every column on the left with every on the right."""
+    """Scalar products of every column on the left with every one on the right."""
     return dot(tuple(x[:, None] for x in left), tuple(x[None, :] for x in right))
 
 
@@ -280,11 +260,10 @@ def _stacked(
     qdd: Float[Array, "body ..."],
     wrench: Float[Array, "6 ..."],
 ) -> Float[Array, "row body ..."]:
-    """Return M, dtau/dq, dtau/dqd and J of the bodies, one above the other."""
+    """M, dtau/dq, dtau/dqd and J of the bodies, one above the other."""
     joints, bodies = _walk(robot, numbers(q, 1), numbers(qd, 1), numbers(qdd, 1))
     columns: list[tuple[Vector, ...]] = []
-    for joint, body in zip(joints, _carried(robot, bodies), strict=True):
-        S, rate, second = joint
+    for (S, rate, second), body in zip(joints, _carried(robot, bodies), strict=True):
         momentum = materialise(_inertia_times(body, S))
         # symbols: 2 B^T S has an angular part alone
         swirl = add(cross(body.p, S[:3]), cross(body.p, S[:3]))
@@ -300,8 +279,8 @@ def _stacked(
     S, rate, second, momentum, swirl, by_q, by_qd = (
         _table(list(rows), q[0]) for rows in zip(*columns, strict=True)
     )
-    # Row i, column j: of the joint i and one j that carries it, or is it; of the
-    # other way round only where they differ.
+    # Row i, column j: `below` where joint j carries joint i, or is it; `above` where i
+    # carries j and is another one.
     shape = (robot.body_count,) * 2 + (1,) * (q.ndim - 1)
     below = _carries(robot).reshape(shape)
     above = (_carries(robot).T & ~np.eye(robot.body_count, dtype=bool)).reshape(shape)
@@ -316,7 +295,7 @@ def _stacked(
 
 
 def _carries(robot: Robot) -> np.ndarray:
-    """Return whether body i is carried by the joint of body j, or is on it."""
+    """True in row i, column j if body i is carried by the joint of body j, or on it."""
     carries = np.eye(robot.body_count, dtype=bool)
     for i, parent in enumerate(robot.parents):
         if parent >= 0:
@@ -327,7 +306,7 @@ def _carries(robot: Robot) -> np.ndarray:
 def _by_wrench(
     J: Float[Array, "6 body ..."], wrench: Float[Array, "6 ..."], above: np.ndarray
 ) -> Float[Array, "body body ..."]:
-    """Return the slope of J^T F: the wrench keeps its axes, and moves with the tool."""
+    """Slope of J^T F: the wrench keeps its axes, and moves with the tool."""
     v, w = numbers(J[:3], 1), numbers(J[3:], 1)
     # A wrench is the same for all bodies.
     f, n = (
@@ -339,6 +318,6 @@ def _by_wrench(
     return jnp.where(inward, _pairs(outer, J[3:]), _pairs(J[3:], inner))
 
 
-# Of robot and of the bodies' q, qd, qdd, and wrench; no derivatives of its own.
+# Arguments robot, the bodies' q, qd and qdd, wrench; no derivatives of its own.
 _of_bodies = as_scalar_code(_stacked)
 rnea_derivatives = jax.jit(_derivatives)

@@ -16,7 +16,7 @@ from .._model.massless_joints import factor
 def spd_inverse(
     matrix: Float[Array, "joint joint"],
 ) -> Float[Array, "joint joint"]:
-    """Return the inverse of a symmetric, positive definite matrix.
+    """Inverse of a symmetric, positive definite matrix.
 
     A step that multiplies with it often is cheaper than one that solves. Derivatives
     are two products, not those of a factor and its solutions.

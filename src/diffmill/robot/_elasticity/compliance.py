@@ -11,7 +11,7 @@ from .static_balance import loaded_equilibrium, motor_positions
 
 
 def cartesian_compliance(robot: Robot, q: JointVector) -> Float[Array, "6 6"]:
-    """Return the compliance of the tool: J K^-1 J^T.
+    """Compliance of the tool: J K^-1 J^T.
 
     Springs only: the change of the torques of gravity and load with the pose, some
     per mille of K on an industrial arm, is left out.
@@ -29,7 +29,7 @@ def cartesian_compliance(robot: Robot, q: JointVector) -> Float[Array, "6 6"]:
 
 
 def principal_stiffness(robot: Robot, q: JointVector) -> Float[Array, " 3"]:
-    """Return the stiffness of the tool's tip in its principal directions.
+    """Stiffness of the tool's tip in its principal directions.
 
     Args:
         robot: The robot.
@@ -43,7 +43,7 @@ def principal_stiffness(robot: Robot, q: JointVector) -> Float[Array, " 3"]:
     **Differentiability**: smooth where no two of them coincide.
     """
     softness = jnp.linalg.eigvalsh(cartesian_compliance(robot, q)[:3, :3])[::-1]
-    # What is rounding of the softest direction is no softness of its own.
+    # A softness within the rounding of the largest counts as none.
     least = 8.0 * jnp.finfo(softness.dtype).eps * softness[0]
     is_soft = softness > jax.lax.stop_gradient(least)
     return jnp.where(is_soft, 1.0 / jnp.where(is_soft, softness, 1.0), jnp.inf)
@@ -52,7 +52,7 @@ def principal_stiffness(robot: Robot, q: JointVector) -> Float[Array, " 3"]:
 def static_deflection(
     robot: Robot, q: JointVector, wrench: Wrench
 ) -> Float[Array, " 6"]:
-    """Return how far a wrench moves the resting tool.
+    """Displacement of the tool at rest by a wrench.
 
     From the balance under gravity to the balance under gravity and the wrench, which
     keeps its direction; the motors stand as for `motor_positions(robot, q)`. To first
@@ -71,12 +71,12 @@ def static_deflection(
     **Differentiability**: smooth; first derivatives by the implicit function.
     """
     theta = motor_positions(robot, q)
-    rest = loaded_equilibrium(robot, theta)
-    return _motion(robot, rest, loaded_equilibrium(robot, theta, wrench))
+    unloaded = loaded_equilibrium(robot, theta)
+    return _motion(robot, unloaded, loaded_equilibrium(robot, theta, wrench))
 
 
 def gravity_sag(robot: Robot, q: JointVector) -> Float[Array, " 6"]:
-    """Return how far its own weight moves the tool, if no motor makes up for it.
+    """Displacement of the tool by the arm's own weight, if no motor makes up for it.
 
     Args:
         robot: The robot.
@@ -95,7 +95,7 @@ def gravity_sag(robot: Robot, q: JointVector) -> Float[Array, " 6"]:
 def _motion(
     robot: Robot, start: Float[Array, " joint"], end: Float[Array, " joint"]
 ) -> Float[Array, " 6"]:
-    """Return displacement and rotation of the tool between two poses."""
+    """Displacement and rotation of the tool between two poses."""
     before, after = forward_kinematics(robot, start), forward_kinematics(robot, end)
     turn = rotation_between(after[:3, :3], before[:3, :3])
     return jnp.concatenate([after[:3, 3] - before[:3, 3], turn])

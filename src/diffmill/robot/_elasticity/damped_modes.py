@@ -9,10 +9,10 @@ from .._kinematics.forward import jacobian
 from .._model.massless_joints import factor, refuse_singular
 from .._model.robot import JointVector, Robot, joint_vector
 
-# A pole whose imaginary part is less than this share of its size does not ring.
-_RINGS = 1e-6
-# A time constant below this share of the slowest is rounding of a rigid joint's.
-_RIGID = 1e-6
+# Least imaginary part over the size of a pole that rings.
+_LEAST_IMAGINARY_SHARE = 1e-6
+# Least time constant over the slowest that is no rounding of a rigid joint's.
+_LEAST_TIME_SHARE = 1e-6
 
 
 class DampedModes(eqx.Module):
@@ -37,7 +37,7 @@ class DampedModes(eqx.Module):
 
 
 def damped_modes(robot: Robot, q: JointVector) -> DampedModes:
-    """Return the modes that ring, with the motors locked, dampers and all.
+    """Modes that ring, with the motors locked, dampers and all.
 
         (lambda^2 M + lambda D + K) phi = 0
 
@@ -72,8 +72,8 @@ def damped_modes(robot: Robot, q: JointVector) -> DampedModes:
     step[joints:, joints:] = -np.diag(S * D) / t
     mu, vectors = np.linalg.eig(step)
     # Of a pair of conjugates the one whose lambda has a positive imaginary part.
-    rings = np.flatnonzero(-np.imag(mu) > _RINGS * np.abs(mu))
-    rings = rings[np.abs(mu[rings]) > _RIGID]
+    rings = np.flatnonzero(-np.imag(mu) > _LEAST_IMAGINARY_SHARE * np.abs(mu))
+    rings = rings[np.abs(mu[rings]) > _LEAST_TIME_SHARE]
     poles = 1.0 / (mu[rings] * t)
     order = np.argsort(poles.imag)
     poles, phi = poles[order], vectors[:joints, rings[order]]

@@ -42,7 +42,7 @@ class Modes(eqx.Module):
 
 
 def mode_shapes(robot: Robot, q: JointVector) -> Modes:
-    """Return the natural modes with the motors locked.
+    """Natural modes with the motors locked.
 
     Springs only: the change of the torques of gravity with the pose, some per mille
     of K on an industrial arm, is left out.
@@ -67,7 +67,7 @@ def mode_shapes(robot: Robot, q: JointVector) -> Modes:
 
 
 def natural_frequencies(robot: Robot, q: JointVector) -> Float[Array, " joint"]:
-    """Return the undamped natural frequencies with the motors locked.
+    """Undamped natural frequencies with the motors locked.
 
     Args:
         robot: The robot.
@@ -109,7 +109,8 @@ def _mode_shapes(robot: Robot, q: Float[Array, " joint"]) -> Modes:
     total = jnp.sum(energy, axis=0, keepdims=True)
     shares = jnp.where(is_soft, energy / jnp.where(is_soft, total, 1.0), 0.0)
     largest = jnp.argmax(shares, axis=0)
-    phi = phi * _sign(jnp.take_along_axis(phi, largest[None], axis=0))
+    sign = jnp.where(jnp.take_along_axis(phi, largest[None], axis=0) < 0.0, -1.0, 1.0)
+    phi = phi * sign
     damping = jnp.sum(phi**2 * robot.joint_damping[:, None], axis=0)
     return Modes(
         frequencies=omega / (2.0 * jnp.pi),
@@ -123,7 +124,7 @@ def _mode_shapes(robot: Robot, q: Float[Array, " joint"]) -> Modes:
 def _softness(
     robot: Robot, L: Float[Array, "joint joint"]
 ) -> Float[Array, "joint joint"]:
-    """Return L^T K^-1 L, where M = L L^T.
+    """Softness L^T K^-1 L, where M = L L^T.
 
     Its eigenvalues are 1 / omega^2: an infinite stiffness is an ordinary number.
     """
@@ -131,9 +132,9 @@ def _softness(
 
 
 def _is_soft(softness: Float[Array, " joint"]) -> Bool[Array, " joint"]:
-    """Return which of the descending softnesses are not rounding of the first."""
+    """True for the descending softnesses that are no rounding of the first."""
     least = 8 * softness.size * jnp.finfo(softness.dtype).eps * softness[0]
-    # What is not a number is to stay so.
+    # NaN stays NaN.
     return ~(softness <= least)
 
 
@@ -141,7 +142,3 @@ def _omega(softness: Float[Array, " joint"]) -> Float[Array, " joint"]:
     is_soft = _is_soft(softness)
     omega = jax.lax.rsqrt(jnp.where(is_soft, softness, 1.0))
     return jnp.where(is_soft, omega, jnp.inf)
-
-
-def _sign(values: Float[Array, "1 joint"]) -> Float[Array, "1 joint"]:
-    return jnp.where(values < 0.0, -1.0, 1.0)

@@ -15,7 +15,7 @@ def receptance(
     q: JointVector,
     frequencies: Float[Array, " frequency"] | Float[np.ndarray, " frequency"],
 ) -> Complex[Array, "frequency 3 3"]:
-    """Return the tip's displacement per oscillating force, with the motors locked.
+    """Tip's displacement per oscillating force, with the motors locked.
 
         G(omega) = J (K + i omega D - omega^2 M)^-1 J^T
 

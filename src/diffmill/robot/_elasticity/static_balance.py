@@ -1,14 +1,12 @@
 """Static balance of the drives' springs against gravity and load.
 
-A motor stands where the controller says, theta; the joint hangs on it by a spring,
+A motor stands at theta, its command; the joint hangs on it by a spring,
 tau = K (theta - q). A virtual joint is the same spring with theta = 0.
 """
 
-from typing import NamedTuple
-
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, PyTree
 
 from .._dynamics.rnea import gravity_forces, gravity_torques
 from .._kinematics.forward import joint_frames, link_inertia_rows, tool_jacobian
@@ -23,7 +21,7 @@ _TOLERANCE, _NEWTON_STEPS = 1e-6, 8
 def motor_positions(
     robot: Robot, q: JointVector, *, is_gravity_compensated: bool = True
 ) -> Float[Array, " joint"]:
-    """Return where the motors must stand to hold the unloaded robot at q.
+    """Motor positions theta that hold the unloaded robot at q.
 
         theta = q + K^-1 G(q)
 
@@ -49,7 +47,7 @@ def motor_positions(
 def loaded_equilibrium(
     robot: Robot, theta: JointVector, wrench: Wrench | None = None
 ) -> Float[Array, " joint"]:
-    """Return the joints' equilibrium: K (theta - q) + J^T F - G(q) = 0.
+    """Equilibrium of the joints: K (theta - q) + J^T F - G(q) = 0.
 
     With backlash and servos the stretch theta - q is theirs too. Friction holds
     nothing: in its smooth form a loaded joint creeps until the springs carry it.
@@ -73,14 +71,6 @@ def loaded_equilibrium(
     )
 
 
-class _LoadedArm(NamedTuple):
-    """What an equilibrium depends on, in the units of `loaded_equilibrium`."""
-
-    robot: Robot
-    theta: Float[Array, " joint"]
-    wrench: Float[Array, " 6"]
-
-
 @jax.jit
 def _loaded_equilibrium(
     robot: Robot, theta: Float[Array, " joint"], wrench: Float[Array, " 6"]
@@ -88,8 +78,8 @@ def _loaded_equilibrium(
     # Imported here: it takes a third of a second, and not every job needs it.
     import optimistix as optx
 
-    def residual(q: Float[Array, " joint"], arm: _LoadedArm) -> Float[Array, " joint"]:
-        robot, theta, wrench = arm
+    def residual(q: Float[Array, " joint"], args: PyTree) -> Float[Array, " joint"]:
+        robot, theta, wrench = args
         frames = joint_frames(robot, q)
         load = tool_jacobian(robot, frames).T @ wrench - gravity_torques(
             robot, frames, link_inertia_rows(robot, frames)
@@ -101,7 +91,7 @@ def _loaded_equilibrium(
         residual,
         optx.Newton(rtol=_TOLERANCE, atol=_TOLERANCE),
         theta,
-        _LoadedArm(robot, theta, wrench),
+        (robot, theta, wrench),
         options={"jac": "fwd"},
         max_steps=_NEWTON_STEPS,
         throw=False,

@@ -23,8 +23,8 @@ from .._kinematics.forward import jacobian
 from .._model.robot import JointVector, Robot, joint_vector
 from .modes import mode_shapes
 
-# Directions in which the tip yields less than this share of the softest have no mode.
-_STIFF = 1e-6
+# Least singular value of Phi over the largest, of directions that have a mode.
+_LEAST_SHAPE_SHARE = 1e-6
 
 Rows = Float[Array, "mode 3"] | Float[np.ndarray, "mode 3"]
 Numbers = Float[Array, " mode"] | Float[np.ndarray, " mode"]
@@ -61,13 +61,13 @@ class TipModes(eqx.Module):
         self.shapes = shapes
         if participation is None:
             xp = np if isinstance(shapes, np.ndarray) else jnp
-            participation = xp.linalg.pinv(shapes.T, rtol=_STIFF)
+            participation = xp.linalg.pinv(shapes.T, rtol=_LEAST_SHAPE_SHARE)
         self.participation = participation
 
     def receptance(
         self, frequencies: Float[Array, " line"] | Float[np.ndarray, " line"]
     ) -> Complex[Array, "line 3 3"]:
-        """Return the tip's displacement per oscillating force [m/N].
+        """Tip's displacement per oscillating force [m/N].
 
         Args:
             frequencies: [Hz], shape (line,); 0 gives the static compliance.
@@ -88,7 +88,7 @@ class TipModes(eqx.Module):
     def of_robot(
         cls, robot: Robot, q: JointVector, T_base_work: np.ndarray
     ) -> "TipModes":
-        """Return the modes of a robot at one pose, as its tip shows them.
+        """Modes of a robot at one pose, as its tip shows them.
 
         The motors carry the arm: they keep the orientation of the tool as far as they
         can. Dampers that couple modes are neglected, and so is the weight.

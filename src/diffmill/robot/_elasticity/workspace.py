@@ -1,7 +1,5 @@
 """Workspace of the arm, and its stiffness there."""
 
-from typing import NamedTuple
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -13,10 +11,10 @@ from .._kinematics.inverse import inverse_kinematics
 from .._model.robot import JointVector, Robot, joint_vector
 from .compliance import principal_stiffness
 
-# Random poses that tell the extent of the workspace.
-_SAMPLES = 4096
-# Poses that are solved at a time.
-_BATCH = 512
+# Number of random poses that tell the extent of the workspace.
+_SAMPLE_COUNT = 4096
+# Number of poses that are solved at a time.
+_BATCH_SIZE = 512
 
 
 class StiffnessMap(eqx.Module):
@@ -45,11 +43,11 @@ class StiffnessMap(eqx.Module):
         plane: str = "xz",
         count: int = 49,
     ) -> "StiffnessMap":
-        """Return the least stiffness of the tip on a plane through a pose.
+        """Least stiffness of the tip on a plane through a pose.
 
         The plane is parallel to two base axes; the tool keeps its direction. Inverse
-        kinematics starts at the pose, then, where that failed, at what was found
-        nearest: another branch of the arm may reach what is not found here.
+        kinematics starts at the pose, then, where that failed, at the nearest solution:
+        another branch of the arm may reach poses that are missing here.
 
         Args:
             robot: The robot.
@@ -81,8 +79,7 @@ class StiffnessMap(eqx.Module):
                 "Argument `plane` must be one in which the robot moves, but is "
                 f"{plane!r}, in which it does not."
             )
-        # A coarse look first: where the tool keeps its direction is less than all it
-        # reaches.
+        # A coarse grid first: the tool keeps its direction in a part of its reach only.
         for points in (count // 2 + 1, count):
             spacing = np.max(box[1] - box[0]) / (points - 1)
             axes = [
@@ -100,12 +97,12 @@ class StiffnessMap(eqx.Module):
 
     @staticmethod
     def axes_of(plane: str) -> list[int]:
-        """Return the indices of the axes of a plane such as "xz"."""
+        """Indices of the axes of a plane such as "xz"."""
         return ["xyz".index(axis) for axis in plane]
 
     @staticmethod
     def reach_box(robot: Robot) -> Float[np.ndarray, "2 3"]:
-        """Return the corners of a box around what the tool reaches, by random poses.
+        """Corners of a box around the tool's reach, by random poses.
 
         Joints without limits turn half a turn and slide 1 m either way.
 
@@ -123,18 +120,19 @@ class StiffnessMap(eqx.Module):
         lower, upper = np.asarray(robot.joint_lower), np.asarray(robot.joint_upper)
         lower = np.where(np.isfinite(lower), lower, home - half)
         upper = np.where(np.isfinite(upper), upper, home + half)
-        share = np.random.default_rng(0).random((_SAMPLES, robot.joint_count))
+        share = np.random.default_rng(0).random((_SAMPLE_COUNT, robot.joint_count))
         # A slide reaches farthest at its ends, a turn anywhere.
         share = np.where(slides, np.round(share), share)
         q = np.where(robot.motor_mask(), lower + share * (upper - lower), 0.0)
-        tips = np.asarray(_tips(robot, jnp.asarray(q, robot.dtype)))
+        poses = jax.vmap(forward_kinematics, (None, 0))
+        tips = np.asarray(poses(robot, jnp.asarray(q, robot.dtype))[:, :3, 3])
         return np.stack([tips.min(axis=0), tips.max(axis=0)]).astype(float)
 
 
 def _through(
     point: float, lower: float, upper: float, spacing: float
 ) -> Float[np.ndarray, " point"]:
-    """Return evenly spaced coordinates from `lower` to `upper`, one on the point."""
+    """Evenly spaced coordinates from `lower` to `upper`, one on the point [m]."""
     first = np.floor(min(lower - point, 0.0) / spacing)
     last = np.ceil(max(upper - point, 0.0) / spacing)
     return float(point) + spacing * np.arange(first, last + 1)
@@ -148,68 +146,53 @@ def _on_grid(
     columns: Float[np.ndarray, " across"],
     rows: Float[np.ndarray, " up"],
 ) -> Float[np.ndarray, "up across"]:
-    """Return the least stiffness on a grid, NaN where a pose is not reached."""
+    """Least stiffness on a grid [N/m], NaN where a pose is not reached."""
     across, up = np.meshgrid(columns, rows)
     Ts = np.broadcast_to(T, (across.size, 4, 4)).copy()
     i, j = StiffnessMap.axes_of(plane)
     Ts[:, i, 3], Ts[:, j, 3] = across.ravel(), up.ravel()
     starts = np.broadcast_to(np.asarray(start), (across.size, start.shape[0]))
-    found = _solve(robot, Ts, starts)
-    q, stiffness = np.asarray(found.q), np.asarray(found.stiffness)
+    q, stiffness = _solve(robot, Ts, starts)
     is_reached = np.isfinite(q).all(axis=1)
-    good, left = np.flatnonzero(is_reached), np.flatnonzero(~is_reached)
-    if good.size and left.size:
+    reached, missed = np.flatnonzero(is_reached), np.flatnonzero(~is_reached)
+    if reached.size and missed.size:
         tips = Ts[:, :3, 3]
-        apart = np.linalg.norm(tips[left][:, None] - tips[good][None], axis=-1)
-        near = q[good[np.argmin(apart, axis=1)]]
-        stiffness[left] = _solve(robot, Ts[left], near).stiffness
+        apart = np.linalg.norm(tips[missed][:, None] - tips[reached][None], axis=-1)
+        near = q[reached[np.argmin(apart, axis=1)]]
+        _, stiffness[missed] = _solve(robot, Ts[missed], near)
     return stiffness.reshape(across.shape)
-
-
-class _Poses(NamedTuple):
-    """Joint positions [rad or m] and least stiffness [N/m]; NaN out of reach."""
-
-    q: Float[Array, "pose joint"] | Float[np.ndarray, "pose joint"]
-    stiffness: Float[Array, " pose"] | Float[np.ndarray, " pose"]
 
 
 def _solve(
     robot: Robot,
     Ts: Float[np.ndarray, "pose 4 4"],
     starts: Float[np.ndarray, "pose joint"],
-) -> _Poses:
-    """Return the solved poses, on the host."""
+) -> tuple[Float[np.ndarray, "pose joint"], Float[np.ndarray, " pose"]]:
+    """Joint positions [rad or m] and least stiffness [N/m]; NaN out of reach."""
     count = Ts.shape[0]
     # Batches of one size need one compilation.
-    rows = np.arange(-(-count // _BATCH) * _BATCH) % count
+    rows = np.arange(-(-count // _BATCH_SIZE) * _BATCH_SIZE) % count
     parts = [
-        _poses(
+        _solve_batch(
             robot, jnp.asarray(Ts[k], robot.dtype), jnp.asarray(starts[k], robot.dtype)
         )
-        for k in np.split(rows, len(rows) // _BATCH)
+        for k in np.split(rows, len(rows) // _BATCH_SIZE)
     ]
     joined = lambda rows: np.concatenate([np.asarray(row, float) for row in rows])
-    return _Poses(
-        joined([part.q for part in parts])[:count],
-        joined([part.stiffness for part in parts])[:count],
-    )
+    q, stiffness = (joined(rows)[:count] for rows in zip(*parts, strict=True))
+    return q, stiffness
 
 
 @jax.jit
-def _tips(robot: Robot, q: Float[Array, "pose joint"]) -> Float[Array, "pose 3"]:
-    return jax.vmap(lambda row: forward_kinematics(robot, row)[:3, 3])(q)
-
-
-@jax.jit
-def _poses(
+def _solve_batch(
     robot: Robot, Ts: Float[Array, "pose 4 4"], starts: Float[Array, "pose joint"]
-) -> _Poses:
+) -> tuple[Float[Array, "pose joint"], Float[Array, " pose"]]:
     def one(T, start):
-        found = inverse_kinematics(robot, T, start, attempts=1)
-        is_reached = found.converged & found.within_limits
-        stiffness = principal_stiffness(robot, found.q)[0]
-        return _Poses(
-            jnp.where(is_reached, found.q, jnp.nan),
+        solution = inverse_kinematics(robot, T, start, attempts=1)
+        is_reached = solution.converged & solution.within_limits
+        stiffness = principal_stiffness(robot, solution.q)[0]
+        return (
+            jnp.where(is_reached, solution.q, jnp.nan),
             jnp.where(is_reached, stiffness, jnp.nan),
         )
 

@@ -20,14 +20,14 @@ from .urdf import read_urdf
 
 # Many a URDF is called .xml.
 _URDF_SUFFIXES = (".urdf", ".xml")
-# A joint that moves less [kg] is no joint of a machine.
-_LIGHTEST = 1e-2
+# Least mass that a joint of a machine moves [kg].
+_LEAST_MOVED_MASS = 1e-2
 # Tables of a job file.
 _JOB_TABLES = {"cutter", "program", "robot", "stock", "spindle"}
 
 
 def built_in_models() -> list[str]:
-    """Return the names of the models that come with the package."""
+    """Names of the models that come with the package."""
     folder = resources.files("diffmill.robot").joinpath("models")
     names = [entry.name for entry in folder.iterdir()]
     return sorted(n.removesuffix(".toml") for n in names if n.endswith(".toml"))
@@ -39,7 +39,7 @@ def load(
     tool: str | None = None,
     drives: str | os.PathLike[str] | None = None,
 ) -> Robot:
-    """Return a robot from a built-in model, a TOML file or a URDF.
+    """Robot from a built-in model, a TOML file or a URDF.
 
     A URDF says nothing of springs: its joints are rigid until `drives`, the job or
     `with_drives` make them soft. Its links are merged where joints are fixed, its
@@ -102,11 +102,11 @@ def load(
 def spindle_note(
     model_or_file: str | os.PathLike[str], drives: str | os.PathLike[str] | None
 ) -> str | None:
-    """Return a note if nobody says what the flange of a URDF carries, else None.
+    """Note on a spindle that neither a URDF nor its drives' file describes, else None.
 
     Args:
-        model_or_file: As for `load`, which has read it.
-        drives: Likewise.
+        model_or_file: Argument of `load`, which has read it.
+        drives: Argument of `load`.
     """
     is_urdf = Path(model_or_file).suffix.lower() in _URDF_SUFFIXES
     side = "" if drives is None else os.fspath(drives)
@@ -121,11 +121,13 @@ def spindle_note(
 def _warn(robot: Robot, notes: Sequence[str], file: str) -> None:
     """Warn once of all that is doubtful in a file."""
     massless = robot.massless_joints
-    light = [name for name in robot.light_joints(_LIGHTEST) if name not in massless]
+    light = [
+        name for name in robot.light_joints(_LEAST_MOVED_MASS) if name not in massless
+    ]
     if light:
         notes = [
-            f"joints {', '.join(light)} move less than {1e3 * _LIGHTEST:g} g: no "
-            "simulation follows how fast they swing",
+            f"joints {', '.join(light)} move less than {1e3 * _LEAST_MOVED_MASS:g} g: "
+            "no simulation follows how fast they swing",
             *notes,
         ]
     if massless:
@@ -140,7 +142,7 @@ def _warn(robot: Robot, notes: Sequence[str], file: str) -> None:
 
 
 def _read_model(file: str) -> bytes:
-    """Return the bytes of a built-in model or of a TOML file."""
+    """Bytes of a built-in model or of a TOML file."""
     if file in built_in_models():
         model = resources.files("diffmill.robot").joinpath("models", f"{file}.toml")
         return model.read_bytes()
@@ -158,7 +160,7 @@ def _read_model(file: str) -> bytes:
 
 
 def _read_file(file: str) -> bytes:
-    """Return the bytes of a file."""
+    """Bytes of a file."""
     try:
         return Path(file).read_bytes()
     except OSError as error:
@@ -175,7 +177,7 @@ def _choices() -> str:
 
 
 def _parse(data: bytes, file: str) -> dict[str, object]:
-    """Return the parsed TOML."""
+    """Parsed TOML."""
     try:
         return parse_toml(data)
     except ValueError as error:

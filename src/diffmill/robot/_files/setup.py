@@ -1,7 +1,7 @@
 """Setup of a robot beside its own file: springs, drives, spindle, tilt of the base.
 
 It is read as a change of the robot's elements, so that a joint that is locked is none:
-what it carries belongs to the link before it.
+its bodies belong to the link before it.
 """
 
 import dataclasses
@@ -33,7 +33,7 @@ SPINDLE = "spindle"
 
 
 class MountedElements(NamedTuple):
-    """Elements of a robot, and how its base stands.
+    """Elements of a robot, and the orientation of its base.
 
     Attributes:
         elements: From the base outwards.
@@ -50,7 +50,7 @@ def apply_setup(
     elements: Sequence[AbstractElement],
     tool: str | None,
 ) -> MountedElements:
-    """Return a robot's elements with what a file adds to them.
+    """Elements of a robot with the additions of a file.
 
     Args:
         document: The parsed file: tables `stiffness`, `damping`, `drive` and `locked`
@@ -83,12 +83,15 @@ def apply_setup(
     _lock_followers(locked, moving)
     elements = _changed(elements, changes, locked)
     if spindle is not None:
-        elements = _with_spindle(elements, spindle, tool)
+        has_tool = any(isinstance(element, Tool) for element in flatten(elements))
+        elements = _at_tool(elements, spindle, tool)
+        if not has_tool:
+            elements.append(spindle)
     return MountedElements(elements, rpy_matrix(*(rpy or ())))
 
 
 def _table(top: ElementReader, key: str) -> ElementReader:
-    """Return a reader of a table, of an empty one without it or after a fault."""
+    """Reader of a table, of an empty one without it or after a fault."""
     table = top.take(key, {})
     if not isinstance(table, Mapping):
         top.fault(key, "a table", table)
@@ -103,7 +106,7 @@ def _kind(joint: _Joint) -> str:
 def _read_drives(
     top: ElementReader, joints: Sequence[_Joint]
 ) -> dict[str, dict[str, object]]:
-    """Return which fields of which joint a file changes."""
+    """Changed fields of the joints, by the joint's name."""
     changes: dict[str, dict[str, object]] = {joint.name: {} for joint in joints}
     for key in ("stiffness", "damping"):
         reader = _table(top, key)
@@ -123,7 +126,7 @@ def _read_drives(
 
 
 def _read_locked(reader: ElementReader, joints: Sequence[_Joint]) -> dict[str, float]:
-    """Return where joints are locked [rad or m]."""
+    """Positions of the locked joints, by name [rad or m]."""
     locked = {}
     for joint in joints:
         kind = JOINT_QUANTITIES[_kind(joint)]["position"]
@@ -160,23 +163,23 @@ def _changed(
     changes: Mapping[str, Mapping[str, object]],
     locked: Mapping[str, float],
 ) -> list[AbstractElement]:
-    """Return the elements with joints changed, and locked ones fixed."""
-    found: list[AbstractElement] = []
+    """Elements with joints changed, and locked ones fixed."""
+    result: list[AbstractElement] = []
     for element in elements:
         if isinstance(element, Fork):
             branches = [_changed(b, changes, locked) for b in element.branches]
-            found.append(Fork(branches))
+            result.append(Fork(branches))
         elif isinstance(element, _Joint) and element.name in locked:
-            found.append(_fixed(element, locked[element.name]))
+            result.append(_locked_joint(element, locked[element.name]))
         elif isinstance(element, _Joint) and element.mimic is None:
-            found.append(dataclasses.replace(element, **changes[element.name]))
+            result.append(dataclasses.replace(element, **changes[element.name]))
         else:
-            found.append(element)
-    return found
+            result.append(element)
+    return result
 
 
-def _fixed(joint: _Joint, position: float) -> AbstractElement:
-    """Return what a joint is that cannot move."""
+def _locked_joint(joint: _Joint, position: float) -> AbstractElement:
+    """Fixed element in place of a joint that is locked at a position [rad or m]."""
     axis = np.asarray(joint.axis, float)
     x, y, z = axis / np.linalg.norm(axis)
     if isinstance(joint, PrismaticJoint):
@@ -187,25 +190,16 @@ def _fixed(joint: _Joint, position: float) -> AbstractElement:
     return FixedRotation(np.eye(3) + turn)
 
 
-def _with_spindle(
-    elements: Sequence[AbstractElement], spindle: RigidBody, tool: str | None
-) -> list[AbstractElement]:
-    """Return the elements with a spindle at the flange, and no other."""
-    if any(isinstance(element, Tool) for element in flatten(elements)):
-        return _at_tool(elements, spindle, tool)
-    return [*_at_tool(elements, spindle, tool), spindle]
-
-
 def _at_tool(
     elements: Sequence[AbstractElement], spindle: RigidBody, tool: str | None
 ) -> list[AbstractElement]:
-    """Return the elements with a spindle before the tool, if there is one."""
-    found: list[AbstractElement] = []
+    """Elements with a spindle before the tool, if there is one, and no other."""
+    result: list[AbstractElement] = []
     for element in elements:
         if isinstance(element, Fork):
-            found.append(Fork([_at_tool(b, spindle, tool) for b in element.branches]))
+            result.append(Fork([_at_tool(b, spindle, tool) for b in element.branches]))
         elif isinstance(element, Tool) and tool in (None, element.name):
-            found += [spindle, element]
+            result += [spindle, element]
         elif not (isinstance(element, RigidBody) and element.name == SPINDLE):
-            found.append(element)
-    return found
+            result.append(element)
+    return result

@@ -45,7 +45,7 @@ class ElementReader:
         allowed: str = "a string",
         may_be_empty: bool = True,
     ) -> str:
-        """Return a text, required without a default; an empty one after a fault."""
+        """Text, required without a default; an empty one after a fault."""
         raw = self.take(key, default, required=default is None)
         is_good = isinstance(raw, str) and (raw != "" or may_be_empty)
         if key in self.table and not is_good:
@@ -53,7 +53,7 @@ class ElementReader:
         return raw if isinstance(raw, str) else ""
 
     def inner(self, key: str, allowed: str) -> "ElementReader | None":
-        """Return a reader of a table within; None without one, or after a fault."""
+        """Reader of a table within; None without one, or after a fault."""
         raw = self.take(key)
         if isinstance(raw, Mapping):
             return ElementReader(raw, f"{self.place}.{key}", self.faults)
@@ -71,7 +71,7 @@ class ElementReader:
         is_allowed: Callable[[float], bool] = math.isfinite,
         allowed: str = "finite",
     ) -> float:
-        """Return a quantity in SI, the default where the key is absent."""
+        """Quantity in SI, the default where the key is absent."""
         raw = self.take(key, required=required)
         value = None if raw is None else self._convert(key, raw, kind)
         if value is None:
@@ -88,7 +88,7 @@ class ElementReader:
         counts: Sequence[int],
         default: Sequence[float] = (),
     ) -> list[float] | None:
-        """Return a list of quantities in SI; None if faulty or missing."""
+        """List of quantities in SI; None if faulty or missing."""
         raw = self.take(key, required=not default)
         if raw is None:
             return list(default) or None
@@ -102,7 +102,7 @@ class ElementReader:
         return good if len(good) == len(raw) else None
 
     def _convert(self, key: str, raw: object, kind: QuantityKind) -> float | None:
-        """Return a quantity in SI, None after a fault."""
+        """Quantity in SI, None after a fault."""
         try:
             return quantity(raw, kind)
         except ValueError as error:
@@ -119,12 +119,12 @@ class ElementReader:
 
 
 def is_list(raw: object) -> TypeGuard[Sequence[object]]:
-    """Return whether a value of a file is a list."""
+    """True if a value of a file is a list."""
     return isinstance(raw, Sequence) and not isinstance(raw, str)
 
 
 def are_numbers(values: Sequence[object]) -> TypeGuard[Sequence[float]]:
-    """Return whether all values are finite numbers."""
+    """True if all values are finite numbers."""
     return all(
         isinstance(v, int | float) and not isinstance(v, bool) and math.isfinite(v)
         for v in values

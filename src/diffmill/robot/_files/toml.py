@@ -50,7 +50,7 @@ JOINT_QUANTITIES = {
 
 
 def read_elements(document: Mapping[str, object], file: str) -> RobotDescription:
-    """Return the robot of a parsed file.
+    """Robot of a parsed file.
 
     Args:
         document: The parsed file.
@@ -84,7 +84,7 @@ def read_elements(document: Mapping[str, object], file: str) -> RobotDescription
 
 
 def _read_list(raw: object, place: str, faults: list[str]) -> list[AbstractElement]:
-    """Return the elements of a list of tables."""
+    """Elements of a list of tables."""
     if raw is None:
         return []
     if not is_list(raw):
@@ -123,7 +123,7 @@ def _read_rotation(reader: ElementReader) -> Callable[[], AbstractElement]:
 
 
 def _read_dh(reader: ElementReader) -> Callable[[], list[AbstractElement]]:
-    """Return the fixed part of a row of Denavit and Hartenberg's."""
+    """Fixed part of a row of Denavit and Hartenberg's."""
     theta = reader.quantity("theta", units.ANGLE, 0.0)
     alpha = reader.quantity("alpha", units.ANGLE, 0.0)
     d = reader.quantity("d", units.LENGTH, 0.0)
@@ -147,7 +147,7 @@ def _read_dh(reader: ElementReader) -> Callable[[], list[AbstractElement]]:
 def _read_coupling(
     reader: ElementReader, kind: str, axis: tuple[float, ...]
 ) -> list[AbstractElement]:
-    """Return what turns a joint with another one, nothing without `coupled`."""
+    """Coupling that turns a joint with another one; nothing without `coupled`."""
     inner = reader.inner("coupled", "a table of joint and ratio")
     if inner is None:
         return []
@@ -210,10 +210,10 @@ def _read_joint(reader: ElementReader) -> Callable[[], list[AbstractElement]]:
     ]
 
 
-# Whether the row's fixed part follows its joint or precedes it.
+# The fixed part of a row follows its joint, or precedes it.
 _CONVENTIONS = ("standard", "modified")
 
-# What a joint's table `drive` may hold, and whether it must be above 0.
+# Keys of a joint's table `drive`: their quantity, and True if they must be above 0.
 _OPTIONS = {
     "backlash": ("position", False),
     "coulomb_friction": ("force", False),
@@ -226,7 +226,7 @@ _OPTIONS = {
 
 
 def read_options(reader: ElementReader, key: str, kind: str) -> Drive | None:
-    """Return what a joint's table says of its drive, None without or after a fault."""
+    """Options of a joint's drive, None without a table or after a fault."""
     inner = reader.inner(key, f"a table of {', '.join(_OPTIONS)}")
     if inner is None:
         return None
@@ -252,7 +252,7 @@ def read_options(reader: ElementReader, key: str, kind: str) -> Drive | None:
 def read_drive(
     reader: ElementReader, quantity: str, key: str, kind: str, default: float
 ) -> float:
-    """Return a joint's stiffness (positive) or damping (not negative) in SI."""
+    """Stiffness (positive) or damping (not negative) of a joint in SI."""
     is_stiffness = quantity == "stiffness"
     return reader.quantity(
         key,
@@ -264,7 +264,7 @@ def read_drive(
 
 
 def read_body(reader: ElementReader) -> Callable[[], RigidBody]:
-    """Return what makes a body of a table, once it is faultless."""
+    """Constructor of the body of a table, to be called once that has no fault."""
     name = reader.text("name", "")
     mass = reader.quantity(
         "mass",
@@ -322,7 +322,7 @@ _READERS: dict[
 
 
 def flatten(elements: Sequence[AbstractElement]) -> list[AbstractElement]:
-    """Return all elements, those of branches too."""
+    """All elements, those of branches too."""
     flat: list[AbstractElement] = []
     for element in elements:
         flat.append(element)

@@ -25,13 +25,13 @@ from .errors import raise_faults
 from .urdf_parser import UrdfJoint, UrdfLink, UrdfParser
 from .urdf_xml import parse_xml
 
-# That many equal links are found in real machines.
-_COMMON = 3
+# Number of equal links that is found in real machines.
+_COMMON_EQUAL_LINKS = 3
 _Children = Mapping[str, Sequence[UrdfJoint]]
 
 
 def read_urdf(data: bytes, file: str, tool: str | None) -> RobotDescription:
-    """Return the robot of a URDF, its elements with one `Tool`.
+    """Robot of a URDF, its elements with one `Tool`.
 
     Args:
         data: The file's bytes.
@@ -54,7 +54,10 @@ def read_urdf(data: bytes, file: str, tool: str | None) -> RobotDescription:
     # Parts without names or ends would give faults of the tree that are none.
     has_names = all(j.parent and j.child and j.name for j in joints)
     if links and has_names and all(link.name for link in links):
-        links = _with_world(links, joints)
+        # `world` needs no declaration where joints hang on it.
+        is_declared = any(link.name == "world" for link in links)
+        if not is_declared and any(joint.parent == "world" for joint in joints):
+            links = [UrdfLink("world", None), *links]
         parser.faults.extend(_tree_faults(links, joints))
     raise_faults(file, parser.faults)
     children = {
@@ -84,24 +87,14 @@ def read_urdf(data: bytes, file: str, tool: str | None) -> RobotDescription:
     return RobotDescription(found.name, elements, parser.notes)
 
 
-def _with_world(
-    links: Sequence[UrdfLink], joints: Sequence[UrdfJoint]
-) -> list[UrdfLink]:
-    """Return the links, and `world` if joints hang on it without its declaration."""
-    is_needed = any(j.parent == "world" for j in joints)
-    is_there = any(link.name == "world" for link in links)
-    world = [UrdfLink("world", None)] if is_needed and not is_there else []
-    return [*world, *links]
-
-
 def _root(links: Sequence[UrdfLink], joints: Sequence[UrdfJoint]) -> list[str]:
-    """Return the links that hang on no joint."""
+    """Links that hang on no joint."""
     hanging = {joint.child for joint in joints}
     return [link.name for link in links if link.name not in hanging]
 
 
 def _tree_faults(links: Sequence[UrdfLink], joints: Sequence[UrdfJoint]) -> list[str]:
-    """Return why links and joints are not one tree that moves."""
+    """Faults of links and joints that are not one tree with a moving joint."""
     faults = []
     for kind, parts in (("link", links), ("joint", joints)):
         names = [part.name for part in parts]
@@ -134,7 +127,7 @@ def _tree_faults(links: Sequence[UrdfLink], joints: Sequence[UrdfJoint]) -> list
 def _connection_faults(
     links: Sequence[UrdfLink], joints: Sequence[UrdfJoint]
 ) -> list[str]:
-    """Return why links with at most one parent each are not one tree."""
+    """Faults of links with at most one parent each that are not one tree."""
     roots = _root(links, joints)
     if len(roots) > 1:
         return [f"there must be one root link, but there are {', '.join(roots)}"]
@@ -152,7 +145,7 @@ def _connection_faults(
 def _branch(
     links: Mapping[str, UrdfLink], children: _Children, link: str, tool: str
 ) -> list[AbstractElement]:
-    """Return the elements of a link and of all that it carries."""
+    """Elements of a link and of all that it carries."""
     elements: list[AbstractElement] = []
     while True:
         body = links[link].body
@@ -175,7 +168,7 @@ def _branch(
 
 
 def _joint_elements(joint: UrdfJoint) -> list[AbstractElement]:
-    """Return the elements of one joint."""
+    """Elements of one joint."""
     x, y, z = joint.position
     elements: list[AbstractElement] = [
         FixedTranslation((x, y, z)),
@@ -198,10 +191,10 @@ def _joint_elements(joint: UrdfJoint) -> list[AbstractElement]:
 
 
 def _placeholder_notes(links: Sequence[UrdfLink]) -> list[str]:
-    """Return a note if all masses look made up, as in files meant for planning."""
+    """Note on masses that are all the same, as in files meant for planning."""
     bodies = [link.body for link in links if link.body is not None]
     alike = {(float(b.mass), np.asarray(b.inertia).tobytes()) for b in bodies}
-    if len(alike) > 1 or len(bodies) <= _COMMON:
+    if len(alike) > 1 or len(bodies) <= _COMMON_EQUAL_LINKS:
         return []
     return [f"all {len(bodies)} masses and inertias are the same: placeholders?"]
 
@@ -209,7 +202,7 @@ def _placeholder_notes(links: Sequence[UrdfLink]) -> list[str]:
 def _massless_notes(
     links: Mapping[str, UrdfLink], children: _Children, root: str
 ) -> list[str]:
-    """Return a note on moving links without mass of their own.
+    """Note on moving links without mass of their own.
 
     A link that is fixed to one with mass is a mere frame and needs none.
     """

@@ -95,7 +95,7 @@ class UrdfJoint:
 
     @property
     def is_moving(self) -> bool:
-        """Whether the joint is not fixed."""
+        """True if the joint is not fixed."""
         return self.kind != "fixed"
 
 
@@ -124,7 +124,7 @@ class UrdfParser:
     notes: list[str] = dataclasses.field(default_factory=list)
 
     def root(self, root: Node) -> UrdfRobot:
-        """Return the robot of a parsed file."""
+        """Robot of a parsed file."""
         if root.tag.endswith(":robot"):
             prefix = root.tag.removesuffix("robot")
             self.faults.append(
@@ -180,7 +180,7 @@ class UrdfParser:
             )
 
     def link(self, node: Node) -> UrdfLink:
-        """Return a link."""
+        """Link of a node."""
         name = self.text(node, "name", f"line {node.line}, link")
         inertial = node.first("inertial")
         place = f"line {node.line}, link {name!r}"
@@ -188,7 +188,7 @@ class UrdfParser:
         return UrdfLink(name, body)
 
     def body(self, node: Node, place: str) -> RigidBody | None:
-        """Return a link's mass; None for one without."""
+        """Link's mass; None for one without."""
         origin = self.origin(node, f"{place}, inertial")
         position, R = origin.position, origin.rotation
         parts = {tag: node.first(tag) for tag in ("mass", "inertia")}
@@ -232,7 +232,7 @@ class UrdfParser:
             )
 
     def joint(self, node: Node) -> UrdfJoint:
-        """Return a joint."""
+        """Joint of a node."""
         name = self.text(node, "name", f"line {node.line}, joint")
         place = f"line {node.line}, joint {name!r}"
         kind = self.text(node, "type", place)
@@ -263,7 +263,7 @@ class UrdfParser:
         )
 
     def end(self, node: Node, tag: str, place: str) -> str:
-        """Return the link at one end of a joint."""
+        """Link at one end of a joint."""
         part = node.first(tag)
         if part is None:
             self.faults.append(f"{place}: <{tag}> is missing")
@@ -271,7 +271,7 @@ class UrdfParser:
         return self.text(part, "link", f"{place}, {tag}")
 
     def limits(self, node: Node, kind: str, place: str) -> tuple[float, float]:
-        """Return the limits: none if the file has none, one left out is 0.
+        """Limits: none if the file has none, one left out is 0.
 
         ROS demands <limit> with effort and velocity; kinematics and dynamics need
         neither, and files without them are about.
@@ -301,7 +301,7 @@ class UrdfParser:
         return lower, upper
 
     def speed(self, node: Node, place: str) -> float:
-        """Return the fastest motion; files that do not know it say 0 or nothing."""
+        """Fastest motion [rad/s or m/s]; files that do not know it say 0 or nothing."""
         limit = node.first("limit")
         if limit is None or "velocity" not in limit.attributes:
             return math.inf
@@ -330,7 +330,7 @@ class UrdfParser:
             )
 
     def mimic(self, node: Node, place: str) -> Mimic | None:
-        """Return which joint a joint follows, if any."""
+        """Joint that a joint follows, if any."""
         mimic = node.first("mimic")
         if mimic is None:
             return None
@@ -340,7 +340,7 @@ class UrdfParser:
         return Mimic(name, multiplier, self.number(mimic, "offset", place, "0"))
 
     def origin(self, node: Node, place: str) -> UrdfOrigin:
-        """Return the frame of an <origin>, that of the parent if it is not there."""
+        """Frame of an <origin>, that of the parent if it is not there."""
         origin = node.first("origin")
         place = f"{place}, origin"
         position = self.numbers(origin, "xyz", place, _ORIGIN)
@@ -357,7 +357,7 @@ class UrdfParser:
         return UrdfOrigin(position, rpy_matrix(*rpy))
 
     def quaternion(self, origin: Node, place: str) -> Float[np.ndarray, "3 3"]:
-        """Return the rotation of a quaternion (URDF 1.1)."""
+        """Rotation of a quaternion (URDF 1.1)."""
         values = self.numbers(origin, "quat_xyzw", place, "0 0 0 1")
         norm = math.hypot(*values)
         if not norm > 0.0:
@@ -368,7 +368,7 @@ class UrdfParser:
         return np.eye(3) + 2 * w * skew + 2 * skew @ skew
 
     def text(self, node: Node, key: str, place: str) -> str:
-        """Return a required attribute."""
+        """Required attribute."""
         text = node.attributes.get(key, "")
         if not text:
             self.faults.append(f"{place}: attribute {key} is missing or empty")
@@ -383,7 +383,7 @@ class UrdfParser:
         *,
         is_finite: bool = True,
     ) -> float:
-        """Return an attribute that is one number; required without a default."""
+        """Attribute that is one number; required without a default."""
         if node is None:
             return float(default or 0.0)
         text = node.attributes.get(key, default)
@@ -399,7 +399,7 @@ class UrdfParser:
     def numbers(
         self, node: Node | None, key: str, place: str, default: str
     ) -> tuple[float, ...]:
-        """Return an attribute that is as many finite numbers as its default."""
+        """Attribute that is as many finite numbers as its default."""
         text = default if node is None else node.attributes.get(key, default)
         usual = tuple(map(float, default.split()))
         words = text.split()

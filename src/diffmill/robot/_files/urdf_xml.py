@@ -22,11 +22,11 @@ class Node:
     children: list["Node"] = dataclasses.field(default_factory=list)
 
     def all(self, tag: str) -> list["Node"]:
-        """Return the children with a tag."""
+        """Children with a tag."""
         return [child for child in self.children if child.tag == tag]
 
     def first(self, tag: str) -> "Node | None":
-        """Return the first child with a tag: further ones do not count, as in ROS."""
+        """First child with a tag: further ones do not count, as in ROS."""
         return next(iter(self.all(tag)), None)
 
 
@@ -50,7 +50,7 @@ class _Builder(ContentHandler):
 
 
 def parse_xml(data: bytes) -> Node:
-    """Return the root element.
+    """Root element.
 
     Raises:
         ValueError: If the text is not well-formed XML, or defines or uses entities.

@@ -1,7 +1,6 @@
-"""In which configurations an arm can stand at a pose and follow a path."""
+"""Configurations in which an arm can stand at a pose and follow a path."""
 
 import functools
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -19,10 +18,11 @@ from .inverse import (
 )
 from .pose_error import ToolRotation
 
-# Searches for a pose, rows at which a path is looked at, configurations followed.
-_SEARCHES, _ROWS, _FOLLOWED = 64, 1000, 32
-# Nearer than that in every joint [rad or m] two solutions are the same.
-_SAME = 1e-2
+# Numbers of searches for a pose, of rows of a path that are checked, and of
+# configurations that are followed.
+_SEARCH_COUNT, _ROW_COUNT, _FOLLOWED_COUNT = 64, 1000, 32
+# Largest difference in every joint of two solutions that are the same [rad or m].
+_SAME_SOLUTION = 1e-2
 
 
 def configurations(
@@ -32,7 +32,7 @@ def configurations(
     *,
     tool_rotation: ToolRotation = "fixed",
 ) -> Float[np.ndarray, "configuration joint"]:
-    """Return different joint positions within limits that bring the tool to a pose.
+    """Different joint positions within limits that bring the tool to a pose.
 
     An arm with more joints than the pose needs has endlessly many; some are returned.
     A joint that may turn by more than a whole turn counts once near the start and once
@@ -41,7 +41,7 @@ def configurations(
     Args:
         robot: The robot.
         T_base_tool: The pose, shape (4, 4).
-        q_start: Where the arm is now [rad or m], shape (joint,).
+        q_start: Present joint positions of the arm [rad or m], shape (joint,).
         tool_rotation: As for `inverse_kinematics`.
 
     Returns:
@@ -52,18 +52,18 @@ def configurations(
     """
     start = joint_vector(robot, q_start, "q_start")
     T = jnp.asarray(T_base_tool, robot.dtype)
-    found = jax.device_get(_from_everywhere(robot, T, start, tool_rotation))
-    rows = found.ends[found.is_good]
+    ends, is_good = jax.device_get(_searches(robot, T, start, tool_rotation))
+    rows = ends[is_good]
     lower, upper = (np.asarray(limit) for limit in motor_limits(robot))
     is_limited = np.isfinite(lower) & np.isfinite(upper)
     half = np.where(is_limited, (upper - lower) / 2, np.pi)
     apart = np.linalg.norm((rows - np.asarray(start)) / half, axis=1)
     rows = rows[np.argsort(apart)]
-    kept: list[Float[np.ndarray, " joint"]] = []
+    solutions: list[Float[np.ndarray, " joint"]] = []
     for row in rows:
-        if all(np.max(np.abs(row - other)) > _SAME for other in kept):
-            kept.append(row)
-    return np.array(kept).reshape(-1, robot.joint_count)
+        if all(np.max(np.abs(row - x)) > _SAME_SOLUTION for x in solutions):
+            solutions.append(row)
+    return np.array(solutions).reshape(-1, robot.joint_count)
 
 
 def path_starts(
@@ -73,13 +73,13 @@ def path_starts(
     *,
     tool_rotation: ToolRotation = "fixed",
 ) -> Float[np.ndarray, "configuration joint"]:
-    """Return configurations of the first pose from which a path is followed in limits.
+    """Configurations of the first pose from which a path is followed in limits.
 
     Args:
         robot: The robot.
         Ts_base_tool: The poses, shape (step, 4, 4); of a long path, rows that are
-            evenly spread are looked at.
-        q_start: Where the arm is now [rad or m], shape (joint,).
+            evenly spread are checked.
+        q_start: Present joint positions of the arm [rad or m], shape (joint,).
         tool_rotation: As for `inverse_kinematics`.
 
     Returns:
@@ -92,46 +92,43 @@ def path_starts(
     starts = configurations(robot, Ts[0], q_start, tool_rotation=tool_rotation)
     if not len(starts):
         return starts
-    starts = starts[:_FOLLOWED]
-    rows = np.unique(np.linspace(0, len(Ts) - 1, min(len(Ts), _ROWS)).astype(int))
+    starts = starts[:_FOLLOWED_COUNT]
+    count = min(len(Ts), _ROW_COUNT)
+    rows = np.unique(np.linspace(0, len(Ts) - 1, count).astype(int))
     # One size needs one compilation.
-    filled = starts[np.arange(_FOLLOWED) % len(starts)]
+    filled = starts[np.arange(_FOLLOWED_COUNT) % len(starts)]
     is_good = np.asarray(
         _follow(robot, jnp.asarray(Ts[rows]), jnp.asarray(filled), tool_rotation)
     )
     return starts[is_good[: len(starts)]]
 
 
-class _Searches(NamedTuple):
-    """Joint positions [rad or m] that searches end in, and whether these are good."""
-
-    ends: Float[Array, "search joint"]
-    is_good: Bool[Array, " search"]
-
-
 @functools.partial(jax.jit, static_argnames="tool_rotation")
-def _from_everywhere(
+def _searches(
     robot: Robot,
     T: Float[Array, "4 4"],
     q_start: Float[Array, " joint"],
     tool_rotation: ToolRotation,
-) -> _Searches:
-    """Return what searches from all over the ranges end in."""
+) -> tuple[Float[Array, "search joint"], Bool[Array, " search"]]:
+    """Ends of searches from all over the joints' ranges [rad or m], True for good ones.
+
+    Each search has two ends: near the start, and near the middle of the ranges.
+    """
     lower, upper = motor_limits(robot)
     is_limited = jnp.isfinite(lower) & jnp.isfinite(upper)
     middle = jnp.where(is_limited, (lower + upper) / 2, q_start)
 
     def search(count):
-        start = start_elsewhere(robot, q_start, count, _SEARCHES)
-        found = inverse_kinematics(
+        start = start_elsewhere(robot, q_start, count, _SEARCH_COUNT)
+        solution = inverse_kinematics(
             robot, T, start, tool_rotation=tool_rotation, attempts=2
         )
-        is_good = found.converged & found.within_limits
-        near = jnp.stack([unwound(robot, found.q, at) for at in (q_start, middle)])
+        is_good = solution.converged & solution.within_limits
+        near = jnp.stack([unwound(robot, solution.q, at) for at in (q_start, middle)])
         return near, jnp.stack([is_good, is_good])
 
-    q, is_good = jax.vmap(search)(jnp.arange(_SEARCHES))
-    return _Searches(q.reshape(-1, q.shape[-1]), is_good.ravel())
+    q, is_good = jax.vmap(search)(jnp.arange(_SEARCH_COUNT))
+    return q.reshape(-1, q.shape[-1]), is_good.ravel()
 
 
 @functools.partial(jax.jit, static_argnames="tool_rotation")
@@ -141,12 +138,12 @@ def _follow(
     starts: Float[Array, "configuration joint"],
     tool_rotation: ToolRotation,
 ) -> Bool[Array, " configuration"]:
-    """Return whether each start leads along a path, within limits all the way."""
+    """True for the starts from which a path is followed, within limits all the way."""
 
     def one(start):
-        found = inverse_kinematics_path(
+        solution = inverse_kinematics_path(
             robot, Ts, start, tool_rotation=tool_rotation, attempts=1
         )
-        return jnp.all(found.converged & found.within_limits)
+        return jnp.all(solution.converged & solution.within_limits)
 
     return jax.vmap(one)(starts)

@@ -37,7 +37,7 @@ class JointFrames(eqx.Module):
 
 
 def joint_frames(robot: Robot, q: Float[Array, " joint"]) -> JointFrames:
-    """Return frames and screws; see `JointFrames`."""
+    """Frames and screws; see `JointFrames`."""
     local = jnp.unstack(_local_frames(robot, unfold_positions(robot, q)))
     # Three rows of a frame times a whole local one: rotation and place at once, in half
     # the instructions of a product for each.
@@ -61,7 +61,7 @@ def joint_frames(robot: Robot, q: Float[Array, " joint"]) -> JointFrames:
 
 
 def _local_frames(robot: Robot, q: Float[Array, " body"]) -> Float[Array, "body 4 4"]:
-    """Return each link's frame in its parent's."""
+    """Each link's frame in its parent's."""
     R, p = robot.placement_rotations, robot.placement_positions
     slides = robot.prismatic_mask()
     angle = q
@@ -81,7 +81,7 @@ def _screws(
     origins: Float[Array, "body 3"],
     tool_position: Float[Array, " 3"],
 ) -> Float[Array, "body 6"]:
-    """Return the joints' screws about the tool's origin."""
+    """Joints' screws about the tool's origin."""
     linear, angular = cross(axes, tool_position[None] - origins), axes
     slides = robot.prismatic_mask()[:, None]
     if slides.any():
@@ -91,7 +91,7 @@ def _screws(
 
 
 def tool_transform(frames: JointFrames) -> Float[Array, "4 4"]:
-    """Return T_base_tool of known frames."""
+    """T_base_tool of known frames."""
     top = jnp.concatenate(
         [frames.tool_rotation, frames.tool_position[:, None]], axis=-1
     )
@@ -100,7 +100,7 @@ def tool_transform(frames: JointFrames) -> Float[Array, "4 4"]:
 
 
 def tool_jacobian(robot: Robot, frames: JointFrames) -> Float[Array, "6 joint"]:
-    """Return the Jacobian of known frames: the screws of joints that move the tool."""
+    """Jacobian of known frames: the screws of joints that move the tool."""
     moves, screws = robot.tool_mask(), frames.screws
     if not moves.all():
         screws = jnp.where(moves[:, None], screws, 0.0)
@@ -108,7 +108,7 @@ def tool_jacobian(robot: Robot, frames: JointFrames) -> Float[Array, "6 joint"]:
 
 
 def link_inertia_rows(robot: Robot, frames: JointFrames) -> Float[Array, "body 13"]:
-    """Return the links' inertias in base axes about the tool's origin."""
+    """Links' inertias in base axes about the tool's origin."""
     R = frames.rotations
     centers = (
         apply_matrix(R, robot.link_centers)
@@ -122,7 +122,7 @@ def link_inertia_rows(robot: Robot, frames: JointFrames) -> Float[Array, "body 1
 
 
 def forward_kinematics(robot: Robot, q: JointVector) -> Float[Array, "4 4"]:
-    """Return the pose of the tool in the robot's base.
+    """Pose of the tool in the robot's base.
 
     Args:
         robot: The robot.
@@ -135,7 +135,7 @@ def forward_kinematics(robot: Robot, q: JointVector) -> Float[Array, "4 4"]:
 
 
 def jacobian(robot: Robot, q: JointVector) -> Float[Array, "6 joint"]:
-    """Return the Jacobian: twist of the tool at its origin, in base axes.
+    """Jacobian: twist of the tool at its origin, in base axes.
 
     Args:
         robot: The robot.

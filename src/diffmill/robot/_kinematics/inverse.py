@@ -6,7 +6,6 @@ price of one forward kinematics. Virtual joints stay at 0.
 """
 
 import dataclasses
-from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -30,22 +29,23 @@ from .pose_error import (
     pose_task,
 )
 
+# Numbers of Newton steps: of a search, along a path, and at its end.
 _POSE_STEPS = 60
 _PATH_STEPS = 4
 _POLISH_STEPS = 2
-# Searches for a pose at most.
+# Largest number of searches for a pose.
 _ATTEMPTS = 32
 # Longest step of the search [rad or m]: beyond it the linear picture misleads.
 _LONGEST_STEP = 0.3
 # Squared error below which the linear picture holds [m^2 + rad^2].
-_NEAR = 1e-6
+_LINEAR_ERROR = 1e-6
 # Squared error at which the Jacobian is that of the pose to ten digits [m^2 + rad^2].
-_CLOSE = 1e-20
-# Newton steps to the middle of the ranges [rad or m]: longer ones along a path lead
-# away from a middle that has ceased to be one.
-_TRUSTED = 0.1
-# Where it is shorter than this, the arm is at the middle but for rounding.
-_SETTLED = 1e-2
+_JACOBIAN_ERROR = 1e-20
+# Longest Newton step to the middle of the ranges [rad or m]: a longer one along a path
+# leads away from a middle that has ceased to be one.
+_LONGEST_NEWTON_STEP = 0.1
+# Newton step below which the arm is at the middle but for rounding [rad or m].
+_SETTLED_STEP = 1e-2
 # Share of the step to the middle of the ranges that is safe far from it.
 _PULL_SHARE = 0.3
 
@@ -55,14 +55,14 @@ class JointSolution(eqx.Module):
 
     Attributes:
         q: Joint positions [rad or m], shape (*step, joint).
-        converged: Whether the tool is at the pose, shape (*step,).
+        converged: True if the tool is at the pose, shape (*step,).
         position_residual: Distance of the tool's origin to the pose [m], (*step,).
         rotation_residual: Angle from the tool to the pose; with a free rotation that
             of the tool axis [rad], shape (*step,).
-        within_limits: Whether all joints are within their limits, shape (*step,).
-        limit_excess: How far each joint is beyond its limits [rad or m], shape
+        within_limits: True if all joints are within their limits, shape (*step,).
+        limit_excess: Excess of each joint over its limits [rad or m], shape
             (*step, joint).
-        midway_error: How far the tip is from the middle between two poses when every
+        midway_error: Distance of the tip from the middle between two poses when every
             joint is half way between them [m], shape (*step,); 0 in row 0 and for one
             pose. Of the order of (step length)^2 / arm length, but where the arm
             changes its configuration between two rows.
@@ -85,13 +85,13 @@ def inverse_kinematics(
     tool_rotation: ToolRotation = "fixed",
     attempts: int = _ATTEMPTS,
 ) -> JointSolution:
-    """Return joint positions that bring the tool to a pose.
+    """Joint positions that bring the tool to a pose.
 
     Args:
         robot: The robot.
         T_base_tool: The pose, shape (4, 4).
-        q_start: Where the search begins [rad or m], shape (joint,). What it leads to
-            is the solution, unless it is none or beyond the limits.
+        q_start: Start of the search [rad or m], shape (joint,). Its end is the
+            solution, unless it misses the pose or is beyond the limits.
         tool_rotation: "fixed", or "free": of the pose's rotation only the tool axis
             counts. A joint more than the pose needs stands near the middle of its
             range, or near home if it has no limits.
@@ -122,12 +122,12 @@ def inverse_kinematics_path(
     tool_rotation: ToolRotation = "fixed",
     attempts: int = _ATTEMPTS,
 ) -> JointSolution:
-    """Return joint positions along a path; each pose starts from the one before.
+    """Joint positions along a path; the search of a pose starts from the one before.
 
     Args:
         robot: The robot.
         Ts_base_tool: The poses, each near to the one before, shape (step, 4, 4).
-        q_start: Where the search of the first pose begins [rad or m], (joint,).
+        q_start: Start of the search of the first pose [rad or m], (joint,).
         tool_rotation: As for `inverse_kinematics`.
         attempts: As for `inverse_kinematics`, for the first pose.
 
@@ -144,8 +144,8 @@ def inverse_kinematics_path(
     count = Ts_base_tool.shape[0]
     Ts = on_device(pad_rows(np.asarray(Ts_base_tool, robot.dtype), padded_count(count)))
     rows = on_device(np.asarray(count, np.int32))
-    found = _solve_path(robot, Ts, start, tool_rotation, attempts, rows)
-    return first_rows(found, count)
+    solution = _solve_path(robot, Ts, start, tool_rotation, attempts, rows)
+    return first_rows(solution, count)
 
 
 @CachedJit
@@ -175,7 +175,8 @@ def _solve_path(
             q = _approach(robot, T, q, tool_rotation)
             return q, q
         q = _search(robot, T, q, _PATH_STEPS, tool_rotation)
-        # Where the middle that was followed ends, the arm slides to the next one.
+        # Where the middle of the ranges that was followed ends, the arm slides to the
+        # next one.
         q = _search(robot, T, q, _PATH_STEPS, tool_rotation, chooses=False)
         return q, q
 
@@ -185,9 +186,9 @@ def _solve_path(
     is_live = live_rows(index, row_count)
     _, qs = scan_rows(follow, first, lax.stop_gradient(Ts), is_live)
     finish = lambda T, q: _finish(robot, T, q, tool_rotation)
-    found = map_rows(finish, is_live, Ts, qs)
-    error = _midway_error(robot, Ts, found.q, is_live)
-    return dataclasses.replace(found, midway_error=error)
+    solution = map_rows(finish, is_live, Ts, qs)
+    error = _midway_error(robot, Ts, solution.q, is_live)
+    return dataclasses.replace(solution, midway_error=error)
 
 
 def _unloaded_virtual(
@@ -202,7 +203,7 @@ def _midway_error(
     qs: Float[Array, "step joint"],
     is_live: Bool[Array, " step"] | None,
 ) -> Float[Array, " step"]:
-    """Return how far joints half way are from the middle of two poses."""
+    """Distance of the tip, with joints half way, from the middle of two poses [m]."""
     robot, Ts, qs = lax.stop_gradient((robot, Ts, qs))
     tip = lambda q: joint_frames(robot, q).tool_position
     ends = None if is_live is None else is_live[1:]
@@ -222,7 +223,7 @@ def _search(
     upper: Float[Array, " joint"] | None = None,
     chooses: bool = True,
 ) -> Float[Array, " joint"]:
-    """Return the end of a fixed number of damped Newton steps, without derivative.
+    """End of a fixed number of damped Newton steps, without derivative [rad or m].
 
     Where the pose leaves a choice they make it, unless `chooses` is False.
     """
@@ -255,14 +256,15 @@ def _approach(
     q: Float[Array, " joint"],
     tool_rotation: ToolRotation,
 ) -> Float[Array, " joint"]:
-    """Return joints whose pose is the wanted one as far as derivatives can tell.
+    """Joints at the pose, to the error at which the Jacobian is right [rad or m].
 
-    As `_search` does along a path where the pose leaves no choice, but it ends there.
+    The steps are those of `_search` along a path where the pose leaves no choice, but
+    they end at that error.
     """
     robot, T, q = lax.stop_gradient((robot, T, q))
     task_at = lambda q: pose_task(robot, T, q, tool_rotation)
     # Single precision does not come so close.
-    close = max(_CLOSE, float(4 * jnp.finfo(q.dtype).eps) ** 2)
+    close = max(_JACOBIAN_ERROR, float(4 * jnp.finfo(q.dtype).eps) ** 2)
 
     def step(state):
         count, q, task = state
@@ -280,13 +282,13 @@ def _approach(
 def _moved(
     q: Float[Array, " joint"], dq: Float[Array, " joint"]
 ) -> Float[Array, " joint"]:
-    """Return the joints after a step, which is cut where it is too long."""
+    """Joints after a step, which is cut where it is too long [rad or m]."""
     longest = jnp.max(jnp.abs(dq))
     return q + dq * jnp.minimum(1.0, _LONGEST_STEP / (longest + 1e-12))
 
 
 def motor_limits(robot: Robot) -> tuple[Float[Array, " joint"], Float[Array, " joint"]]:
-    """Return limits of the motors, far ones for virtual joints, which stay at 0."""
+    """Limits of the motors [rad or m], infinite for virtual joints, which stay at 0."""
     motors = robot.motor_mask()
     return (
         jnp.where(motors, robot.joint_lower, -jnp.inf),
@@ -303,7 +305,7 @@ def _choice_search_step(
     *,
     is_newton: bool,
 ) -> Float[Array, " joint"]:
-    """Return a step where the pose leaves a choice; Newton steps only along a path.
+    """Step where the pose leaves a choice; a Newton step only along a path [rad or m].
 
     The self-motion curves, so that a whole plain step along it may go too far, and a
     Newton step from afar may end where the joints are farthest from the middle.
@@ -311,15 +313,10 @@ def _choice_search_step(
     plain = chosen_step(robot, T, q, tool_rotation, 1e-2 * size, _PULL_SHARE)
     if not is_newton:
         return plain
-    newton = _choice_newton_step(robot, T, q, tool_rotation, _TRUSTED)
-    return jnp.where(newton.is_short & (size < _NEAR), newton.step, plain)
-
-
-class _NewtonStep(NamedTuple):
-    """A step of the joints [rad or m], and whether it is short enough to be of use."""
-
-    step: Float[Array, " joint"]
-    is_short: Bool[Array, ""]
+    newton, is_short = _choice_newton_step(
+        robot, T, q, tool_rotation, _LONGEST_NEWTON_STEP
+    )
+    return jnp.where(is_short & (size < _LINEAR_ERROR), newton, plain)
 
 
 def _choice_newton_step(
@@ -328,8 +325,8 @@ def _choice_newton_step(
     q: Float[Array, " joint"],
     tool_rotation: ToolRotation,
     longest: float,
-) -> _NewtonStep:
-    """Return the Newton step to where the undamped `chosen_step` vanishes.
+) -> tuple[Float[Array, " joint"], Bool[Array, ""]]:
+    """Newton step to the zero of the undamped `chosen_step` [rad or m]; True if short.
 
     Only the step carries the derivative, not its slope. It is short where no joint
     moves by more than `longest`.
@@ -337,10 +334,10 @@ def _choice_newton_step(
     frozen, T_frozen, q_frozen = lax.stop_gradient((robot, T, q))
     slope = choice_slope(frozen, T_frozen, q_frozen, tool_rotation)
     inverse = small_inverse(slope)
-    left = -chosen_step(robot, T, q, tool_rotation, None)
-    is_short = jnp.max(jnp.abs(inverse @ lax.stop_gradient(left))) < longest
+    residual = -chosen_step(robot, T, q, tool_rotation, None)
+    is_short = jnp.max(jnp.abs(inverse @ lax.stop_gradient(residual))) < longest
     # A singular slope must not spoil derivatives either.
-    return _NewtonStep(jnp.where(is_short, inverse, 0.0) @ left, is_short)
+    return jnp.where(is_short, inverse, 0.0) @ residual, is_short
 
 
 def _first_pose(
@@ -350,10 +347,10 @@ def _first_pose(
     tool_rotation: ToolRotation,
     attempts: int,
 ) -> Float[Array, " joint"]:
-    """Return the end of a search, of further ones from elsewhere if it failed.
+    """End of a search, and of further ones from other starts if it failed [rad or m].
 
-    What is reached within limits ends it, then what the start led to counts, and last
-    what is nearest to the pose.
+    A solution within limits ends the search. Else the first solution counts, and
+    without any the joints that are nearest to the pose.
     """
     robot, T, q_start = lax.stop_gradient((robot, T, q_start))
     tolerance = _tolerance(q_start.dtype)
@@ -373,7 +370,7 @@ def _first_pose(
         new_error = jnp.max(jnp.abs(pose_task(robot, T, new, tool_rotation).error))
         lower, upper = motor_limits(robot)
         is_good = (new_error < tolerance) & jnp.all((new >= lower) & (new <= upper))
-        # What is reached beyond the limits keeps the branch that came first.
+        # Of solutions beyond the limits the first one counts.
         is_better = is_good | ((error >= tolerance) & (new_error < error))
         q = jnp.where(is_better, new, q)
         return count + 1, q, jnp.where(is_better, new_error, error), is_good
@@ -395,7 +392,7 @@ def start_elsewhere(
     count: Int[Array, ""],
     attempts: int,
 ) -> Float[Array, " joint"]:
-    """Return where a further search begins: the later, the farther from the start."""
+    """Start of a further search: the later, the farther from the first [rad or m]."""
     rng = np.random.default_rng(0)
     shares = jnp.asarray(rng.random((attempts, q_start.shape[0])), q_start.dtype)
     slides = [kind == "prismatic" for kind in robot.joint_kinds]
@@ -411,7 +408,7 @@ def start_elsewhere(
 def unwound(
     robot: Robot, q: Float[Array, " joint"], q_start: Float[Array, " joint"]
 ) -> Float[Array, " joint"]:
-    """Return the same pose with whole turns taken off, near the start and in limits."""
+    """Joints of the same pose without whole turns, near the start and in limits."""
     if robot.has_mimics:
         # A follower need not turn by whole turns.
         return q
@@ -433,17 +430,17 @@ def _polished(
     q: Float[Array, " joint"],
     tool_rotation: ToolRotation,
 ) -> Float[Array, " joint"]:
-    """Return the pose itself for joints near to it, without derivative."""
+    """Joints exactly at the pose, for joints near to it, without derivative."""
     robot, T, q = lax.stop_gradient((robot, T, q))
     for _ in range(_POLISH_STEPS):
         task = pose_task(robot, T, q, tool_rotation)
         step = damped_step(task.jacobian, task.error, None)
-        q = q + jnp.where(jnp.sum(task.error**2) < _NEAR, step, 0.0)
+        q = q + jnp.where(jnp.sum(task.error**2) < _LINEAR_ERROR, step, 0.0)
     return q
 
 
 def _tolerance(dtype: DTypeLike) -> Float[Array, ""]:
-    """Return the residual below which the tool is at the pose [m or rad]."""
+    """Residual below which the tool is at the pose [m or rad]."""
     return jnp.asarray(100.0 * jnp.finfo(dtype).eps ** 0.75, dtype)
 
 
@@ -453,35 +450,34 @@ def _finish(
     q: Float[Array, " joint"],
     tool_rotation: ToolRotation,
 ) -> JointSolution:
-    """Take the step that carries the derivative, and judge the result."""
+    """Solution after the step that carries the derivative."""
     q = lax.stop_gradient(q)
     task = pose_task(robot, T, q, tool_rotation)
     J = lax.stop_gradient(task.jacobian)
     # Where the search failed, a full step might go anywhere: keep its value out.
-    is_near = jnp.sum(lax.stop_gradient(task.error) ** 2) < _NEAR
+    is_near = jnp.sum(lax.stop_gradient(task.error) ** 2) < _LINEAR_ERROR
     step = damped_step(J, task.error, None)
     if has_choice(robot, tool_rotation):
-        newton = _choice_newton_step(robot, T, q, tool_rotation, _SETTLED)
-        step = jnp.where(newton.is_short, newton.step, step)
+        newton, is_short = _choice_newton_step(
+            robot, T, q, tool_rotation, _SETTLED_STEP
+        )
+        step = jnp.where(is_short, newton, step)
     value = jnp.where(is_near, lax.stop_gradient(step), 0.0)
     q = q + value
     if has_choice(robot, tool_rotation):
         # The self-motion curves: a step along it leaves the pose a little.
         q = _polished(robot, T, q, tool_rotation)
     q = q + (step - lax.stop_gradient(step))
-    left = lax.stop_gradient(pose_task(robot, T, q, tool_rotation).error)
+    residual = lax.stop_gradient(pose_task(robot, T, q, tool_rotation).error)
+    # A rotation's residual is 2 sin(angle / 2) times its axis.
+    half_sine = jnp.minimum(0.5 * jnp.linalg.norm(residual[3:]), 1.0)
     excess = jnp.maximum(robot.joint_lower - q, q - robot.joint_upper)
     return JointSolution(
         q=q,
-        converged=jnp.max(jnp.abs(left)) < _tolerance(q.dtype),
-        position_residual=jnp.linalg.norm(left[:3]),
-        rotation_residual=_angle(left[3:]),
+        converged=jnp.max(jnp.abs(residual)) < _tolerance(q.dtype),
+        position_residual=jnp.linalg.norm(residual[:3]),
+        rotation_residual=2.0 * jnp.arcsin(half_sine),
         within_limits=jnp.all((q >= robot.joint_lower) & (q <= robot.joint_upper)),
         limit_excess=lax.stop_gradient(jnp.maximum(excess, 0.0)),
         midway_error=jnp.zeros((), q.dtype),
     )
-
-
-def _angle(turn: Float[Array, " row"]) -> Float[Array, ""]:
-    """Return the angle of a rotation given as 2 sin(angle / 2) times its axis."""
-    return 2.0 * jnp.arcsin(jnp.minimum(0.5 * jnp.linalg.norm(turn), 1.0))

@@ -19,19 +19,20 @@ from .._algebra.rotations import rotation_between
 from .._model.robot import Robot
 from .forward import JointFrames, joint_frames, tool_jacobian
 
-# Whether the rotation about the tool axis is the pose's, or chosen.
+# The rotation about the tool axis: fixed by the pose, or free to be chosen.
 ToolRotation: TypeAlias = Literal["fixed", "free"]
 
 # The pull towards the middle is x + x^15 in half ranges: gentle inside, a wall beyond.
-_WALL = 15
-# Where the wall stops rising, far beyond any limit: a power must not overflow.
-_HIGHEST = 10.0
-# How often an undamped step is repeated for what its floor has left.
+_WALL_POWER = 15
+# Half ranges at which the wall stops rising, far beyond any limit: a power must not
+# overflow.
+_HIGHEST_WALL = 10.0
+# Number of repetitions of an undamped step for the error that its floor leaves.
 _REPEATS = 3
 # cos^2(angle / 2) below which a tilt counts as half a turn.
-_FLOOR = 1e-4
+_HALF_TURN_COSINE = 1e-4
 # Half a range of a joint without limits [rad or m], and the least half of any.
-_UNLIMITED, _NARROWEST = 3.0, 1e-6
+_UNLIMITED_HALF, _LEAST_HALF = 3.0, 1e-6
 
 
 class PoseTask(eqx.Module):
@@ -54,7 +55,7 @@ def pose_task(
     q: Float[Array, " joint"],
     tool_rotation: ToolRotation,
 ) -> PoseTask:
-    """Return the task of a pose at given joint positions."""
+    """Task of a pose at given joint positions."""
     frames = joint_frames(robot, q)
     J = motor_jacobian(robot, frames, tool_rotation)
     shift = T_base_tool[:3, 3] - frames.tool_position
@@ -69,7 +70,7 @@ def pose_task(
 def motor_jacobian(
     robot: Robot, frames: JointFrames, tool_rotation: ToolRotation
 ) -> Float[Array, "row joint"]:
-    """Return how the motors move the rows of a task; free rows are in tool axes."""
+    """Jacobian of the rows of a task by the motors; free rows are in tool axes."""
     J = jnp.where(robot.motor_mask()[None, :], tool_jacobian(robot, frames), 0.0)
     if tool_rotation == "fixed":
         return J
@@ -78,11 +79,11 @@ def motor_jacobian(
 
 
 def _tilt(axis: Float[Array, " 3"]) -> Float[Array, " 2"]:
-    """Return the x and y rotation that turns z to an axis: 2 sin(angle / 2) long."""
+    """Rotation about x and y that turns z to an axis: 2 sin(angle / 2) long."""
     # |z + axis| / 2 = cos(angle / 2), and |z x axis| = sin(angle); the floor keeps half
     # a turn finite.
     cross = jnp.stack([-axis[1], axis[0]])
-    half_cosine = jnp.sqrt(jnp.maximum(0.5 * (1.0 + axis[2]), _FLOOR))
+    half_cosine = jnp.sqrt(jnp.maximum(0.5 * (1.0 + axis[2]), _HALF_TURN_COSINE))
     # There the cross product vanishes: its length is that of the rotation, and where it
     # is only rounding any direction will do.
     sine = jnp.sum(cross**2)
@@ -90,7 +91,7 @@ def _tilt(axis: Float[Array, " 3"]) -> Float[Array, " 2"]:
     along = cross / jnp.sqrt(jnp.where(is_known, sine, 1.0))
     along = jnp.where(is_known, along, jnp.eye(2, dtype=axis.dtype)[0])
     length = jnp.sqrt(2.0 - 2.0 * jnp.minimum(axis[2], 0.0))
-    is_half_turn = 0.5 * (1.0 + axis[2]) < _FLOOR
+    is_half_turn = 0.5 * (1.0 + axis[2]) < _HALF_TURN_COSINE
     return jnp.where(is_half_turn, length * along, cross / half_cosine)
 
 
@@ -100,11 +101,11 @@ def damped_step(
     damping: Float[Array, ""] | None,
     weights: Float[Array, " joint"] | None = None,
 ) -> Float[Array, " joint"]:
-    """Return W J^T (J W J^T + damping I)^-1 error, finite everywhere; W = 1 if None.
+    """Step W J^T (J W J^T + damping I)^-1 error, finite everywhere; W = 1 if None.
 
     A floor of the damping keeps it finite. Without damping (None) the step is repeated
-    for what the floor has left of the error, so that the error is met to rounding in
-    every direction in which the joints can move at all.
+    for the error that the floor leaves, so that the error is met to rounding in every
+    direction in which the joints can move at all.
     """
     scaled = J if weights is None else J * weights[None]
     gram = scaled @ J.T
@@ -121,7 +122,7 @@ def damped_step(
 
 
 def has_choice(robot: Robot, tool_rotation: ToolRotation) -> bool:
-    """Return whether a pose may leave a family of solutions to choose from."""
+    """True if a pose may leave a family of solutions to choose from."""
     return tool_rotation == "free" or len(robot.motor_joints) > 6
 
 
@@ -133,7 +134,7 @@ def chosen_step(
     damping: Float[Array, ""] | None,
     share: float = 1.0,
 ) -> Float[Array, " joint"]:
-    """Return a step to the pose and, where that leaves a choice, to the middle.
+    """Step to the pose and, where that leaves a choice, to the middle [rad or m].
 
     A Gauss-Newton step for the pose, in the metric of the pull's slope; in its null
     space a share of a Newton step for the pull. It vanishes at the solution.
@@ -142,15 +143,15 @@ def chosen_step(
     lower, upper = robot.joint_lower, robot.joint_upper
     is_limited = jnp.isfinite(lower) & jnp.isfinite(upper)
     low, high = (jnp.where(is_limited, limit, 0.0) for limit in (lower, upper))
-    half = jnp.where(is_limited, (high - low) / 2, _UNLIMITED)
-    half = jnp.maximum(half, _NARROWEST)
+    half = jnp.where(is_limited, (high - low) / 2, _UNLIMITED_HALF)
+    half = jnp.maximum(half, _LEAST_HALF)
     middle = jnp.where(is_limited, (low + high) / 2, robot.home)
-    x = clamp(-_HIGHEST, (q - middle) / half, _HIGHEST)
-    slope = 1.0 + _WALL * x ** (_WALL - 1)
-    pull = -share * half * (x + x**_WALL) / slope
+    x = clamp(-_HIGHEST_WALL, (q - middle) / half, _HIGHEST_WALL)
+    slope = 1.0 + _WALL_POWER * x ** (_WALL_POWER - 1)
+    pull = -share * half * (x + x**_WALL_POWER) / slope
     pull = jnp.where(robot.motor_mask(), pull, -q)
-    left = task.error - task.jacobian @ pull
-    return pull + damped_step(task.jacobian, left, damping, half**2 / slope)
+    error = task.error - task.jacobian @ pull
+    return pull + damped_step(task.jacobian, error, damping, half**2 / slope)
 
 
 def choice_slope(
@@ -159,6 +160,6 @@ def choice_slope(
     q: Float[Array, " joint"],
     tool_rotation: ToolRotation,
 ) -> Float[Array, "joint joint"]:
-    """Return the derivative of the undamped `chosen_step` in the joint positions."""
+    """Derivative of the undamped `chosen_step` by the joint positions."""
     step = lambda x: chosen_step(robot, T_base_tool, x, tool_rotation, None)
     return jax.jacfwd(step)(q)

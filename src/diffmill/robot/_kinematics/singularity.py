@@ -36,7 +36,7 @@ class Singularity(eqx.Module):
 def singularity(
     robot: Robot, q: JointVector, *, tool_rotation: ToolRotation = "fixed"
 ) -> Singularity:
-    """Return how near joint positions are to a singular pose.
+    """Singularity measures of joint positions.
 
     An arm with fewer motors than a pose has numbers counts as singular only where two
     motions of its joints move the tool alike; one with more, only where it loses a
@@ -73,7 +73,7 @@ def _singularity(
     # A wide matrix has joint motions that do nothing; they are no loss.
     _, values, right = jnp.linalg.svd(rows, full_matrices=False)
     direction = jnp.zeros_like(q).at[jnp.asarray(motors)].set(right[-1])
-    # What is rounding of the largest is 0.
+    # A singular value within the rounding of the largest is 0.
     is_singular = values[-1] <= 8.0 * jnp.finfo(values.dtype).eps * values[0]
     safe = jnp.where(is_singular, 1.0, values[-1])
     return Singularity(

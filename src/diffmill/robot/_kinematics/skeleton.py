@@ -14,8 +14,8 @@ class Skeleton(eqx.Module):
     """Line figure of an arm: places of its joints, all in `base`.
 
     Attributes:
-        mounts: Origin of each joint where a slide would be at 0 [m], shape (body, 3);
-            the joint's own origin for a turn.
+        mounts: Origin of each joint with its slide at 0 [m], shape (body, 3); the
+            joint's own origin for a turn.
         origins: Origin of each body's joint [m], shape (body, 3).
         axes: Direction of each joint, shape (body, 3).
         flange: [m], shape (3,).
@@ -32,7 +32,7 @@ class Skeleton(eqx.Module):
 
     @classmethod
     def of_robot(cls, robot: Robot, q: JointVector) -> "Skeleton":
-        """Return where the joints of the arm are.
+        """Line figure of a robot.
 
         Args:
             robot: The robot.

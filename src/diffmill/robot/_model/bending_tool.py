@@ -81,7 +81,7 @@ class BendingTool(eqx.Module):
             check_known(name, getattr(self, name), least=0.0)
 
     def mounted_on(self, robot: Robot) -> Robot:
-        """Return the robot with a tool that bends, in series with the arm.
+        """Robot with a tool that bends, in series with the arm.
 
         Two virtual joints, `tool_x` and `tool_y`, turn the tool about its own x and y
         axes. The tip and its direction follow a force at the tip as those of the beam
@@ -122,7 +122,7 @@ class BendingTool(eqx.Module):
         return dataclasses.replace(bending, fast_joints=(*robot.fast_joints, *own))
 
     def tip_spring(self, dtype: DTypeLike = float) -> TipSpring:
-        """Return stiffness, hinge and moving mass of a bending tool (Euler beam).
+        """Stiffness, hinge and moving mass of a bending tool (Euler beam).
 
             1 / k = L_f^3 / (3 E I_f) + (L^3 - L_f^3) / (3 E I_s),  I = pi d^4 / 64
 

@@ -160,7 +160,7 @@ def _visit(
 def _resolve_mimics(
     joints: Sequence[RevoluteJoint | PrismaticJoint],
 ) -> tuple[tuple[int, float, float] | None, ...]:
-    """Return `Robot.mimics`: chains of followers end at an independent joint.
+    """`Robot.mimics`: chains of followers end at an independent joint.
 
     Raises:
         ValueError: If a joint follows one that is not there, or in the end itself.
@@ -188,7 +188,7 @@ def _resolve_mimics(
 
 
 def _choose_tool(walk: _Walk, end: _Place, tool: str | None) -> _Place:
-    """Return the flange with the tool in it."""
+    """Flange with the tool in it."""
     if tool is None and not walk.tools:
         return end
     if tool is None and len(walk.tools) == 1:
@@ -203,7 +203,7 @@ def _choose_tool(walk: _Walk, end: _Place, tool: str | None) -> _Place:
 
 
 def _transform(rotation: np.ndarray, position: object) -> np.ndarray:
-    """Return a 4 x 4 transform."""
+    """4 x 4 transform."""
     T = np.eye(4)
     T[:3, :3] = rotation
     T[:3, 3] = np.asarray(position, float)
@@ -211,7 +211,7 @@ def _transform(rotation: np.ndarray, position: object) -> np.ndarray:
 
 
 def _rotation_of_z_to(axis: object) -> np.ndarray:
-    """Return the smallest rotation that turns z to `axis`."""
+    """Smallest rotation that turns z to `axis`."""
     x, y, z = np.asarray(axis, float) / np.linalg.norm(np.asarray(axis, float))
     if z < -1.0 + 1e-12:
         return np.diag([1.0, -1.0, -1.0])
@@ -220,7 +220,7 @@ def _rotation_of_z_to(axis: object) -> np.ndarray:
 
 
 def _body_in_link(body: RigidBody, frame: np.ndarray) -> _Mass:
-    """Return a body in its link's frame."""
+    """Body in its link's frame."""
     R = frame[:3, :3]
     center = R @ np.asarray(body.center_of_mass, float) + frame[:3, 3]
     inertia = R @ np.asarray(body.inertia, float) @ R.T
@@ -228,7 +228,7 @@ def _body_in_link(body: RigidBody, frame: np.ndarray) -> _Mass:
 
 
 def _merge(bodies: list[_Mass]) -> _Mass:
-    """Return several bodies as one."""
+    """Several bodies as one."""
     mass = sum((body.mass for body in bodies), 0.0)
     # Rotors are described by an inertia without mass: any centre is as good.
     center = np.zeros(3)
@@ -242,7 +242,7 @@ def _merge(bodies: list[_Mass]) -> _Mass:
 
 
 def _with_drive_options(robot: Robot, drives: Sequence[Drive | None]) -> Robot:
-    """Return the robot with the options that its joints' elements ask for.
+    """Robot with the options that its joints' elements ask for.
 
     Args:
         robot: The robot.

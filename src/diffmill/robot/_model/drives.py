@@ -32,7 +32,7 @@ class Backlash(eqx.Module):
     def dead_zone(
         self, x: Float[Array, " joint"]
     ) -> tuple[Float[Array, " joint"], Float[Array, " joint"]]:
-        """Return s(x) of the gap, and its slope."""
+        """Stretch s(x) of the springs behind the gap, and its slope."""
         # symbols: b gap, w width of a corner, u how far x is into the corner
         b, w = self.gap, self.corner * self.gap
         has_gap = b > 0.0
@@ -44,7 +44,7 @@ class Backlash(eqx.Module):
         return jnp.where(has_gap, s, x), jnp.where(has_gap, slope, 1.0)
 
     def deflection(self, y: Float[Array, " joint"]) -> Float[Array, " joint"]:
-        """Return s^-1(y): the stretch of gears whose springs are stretched by y.
+        """Stretch s^-1(y) of gears whose springs are stretched by y.
 
         What carries next to nothing is in the middle of its gap.
         """
@@ -64,7 +64,7 @@ class Backlash(eqx.Module):
     def static_dead_zone(
         self, x: Float[Array, " joint"]
     ) -> tuple[Float[Array, " joint"], Float[Array, " joint"]]:
-        """Return y whose `deflection` is x, and its slope.
+        """Stretch y whose `deflection` is x, and its slope.
 
         That is s(x) but for gears that carry next to nothing: in their gap y rises,
         by next to nothing, so that it says where in the gap they are.
@@ -77,11 +77,11 @@ class Backlash(eqx.Module):
         return jnp.where(is_light, rise * x, s), jnp.where(is_light, rise, slope)
 
     def _least_load(self) -> Float[Array, " joint"]:
-        """Return the stretch y_0 of springs below which a gear carries nothing."""
+        """Stretch y_0 of springs below which a gear carries nothing."""
         return _LEAST_LOAD * self.corner * self.gap
 
     def _least_stretch(self) -> Float[Array, " joint"]:
-        """Return the stretch x_0 of gears at that load."""
+        """Stretch x_0 of gears at that load."""
         b, w = self.gap, self.corner * self.gap
         return (b - w) / 2 + math.sqrt(2 * _LEAST_LOAD) * w
 
@@ -100,11 +100,11 @@ class Friction(eqx.Module):
     speed: Float[Array, " joint"]
 
     def torque(self, v: Float[Array, " joint"]) -> Float[Array, " joint"]:
-        """Return the torque against a motion at v [N m or N], shape (joint,)."""
+        """Torque against a motion at v [N m or N], shape (joint,)."""
         return self.coulomb * jnp.tanh(v / self.speed) + self.viscous * v
 
     def coulomb_damping(self, v: Float[Array, " joint"]) -> Float[Array, " joint"]:
-        """Return the damper that brakes like Coulomb friction does at v: F_c tanh / v.
+        """Damper that brakes like Coulomb friction does at v: F_c tanh / v.
 
         Args:
             v: Joint velocities [rad/s or m/s], shape (joint,).

@@ -249,7 +249,7 @@ class RobotDescription(NamedTuple):
     Attributes:
         name: Name of the model.
         elements: From the base outwards.
-        notes: What is doubtful, one sentence each.
+        notes: Doubts about the file, one sentence each.
     """
 
     name: str
@@ -258,7 +258,7 @@ class RobotDescription(NamedTuple):
 
 
 def is_rotation(rotation: Matrix3) -> bool:
-    """Return whether a matrix is orthonormal and right-handed."""
+    """True if a matrix is orthonormal and right-handed."""
     gram = rotation.T @ rotation
     return bool(np.allclose(gram, np.eye(3), atol=1e-9) and np.linalg.det(rotation) > 0)
 
@@ -272,7 +272,7 @@ def check_vector(name: str, vector: Vector3) -> None:
 
 
 def is_direction(vector: Vector3) -> bool:
-    """Return whether a vector is long enough to be divided by its length."""
+    """True if a vector is long enough to be divided by its length."""
     return _SHORTEST < math.hypot(*map(float, vector)) < math.inf
 
 
@@ -304,7 +304,7 @@ def check_joint(joint: RevoluteJoint | PrismaticJoint) -> None:
 
 
 def inertia_fault(inertia: Matrix3) -> str:
-    """Return what an inertia should be and is not, or an empty string."""
+    """Fault of an inertia that is no symmetric, positive matrix; empty for none."""
     if not np.all(np.isfinite(inertia)):
         return "finite."
     if not np.allclose(inertia, inertia.T, rtol=1e-9, atol=0.0):
@@ -319,7 +319,7 @@ def inertia_fault(inertia: Matrix3) -> str:
 
 
 def triangle_fault(inertia: Matrix3) -> str:
-    """Return what is wrong with an inertia that no distribution of mass has."""
+    """Fault of an inertia that no distribution of mass has; empty for none."""
     principal = np.linalg.eigvalsh(inertia)
     # Equality is a flat body; the tolerance lets rounded data pass.
     if principal[2] <= (principal[0] + principal[1]) * (1.0 + 1e-6):

@@ -16,10 +16,10 @@ from .robot import Robot
 from .series_springs import Body, Spring, with_series_springs
 
 _AXES = "xyz"
-# What is left of a link, as a share of its mass, that is rounding.
-_NOTHING = 1e-9
-# Centres that are the same [m].
-_SAME_PLACE = 1e-6
+# Mass left of a link over its mass, below which it is rounding.
+_LEAST_MASS_SHARE = 1e-9
+# Distance of two centres that are the same [m].
+_SAME_CENTER = 1e-6
 
 
 class FlangeSpring(eqx.Module):
@@ -33,7 +33,7 @@ class FlangeSpring(eqx.Module):
         linear_stiffness: Along the flange's axes [N/m], shape (3,); None for rigid.
         rotary_stiffness: About them [N m/rad], shape (3,); None for rigid.
         damping_ratio: Share of critical damping of each spring alone [-].
-        is_in_link: Whether the robot's last link already holds the spindle, which then
+        is_in_link: True if the robot's last link already holds the spindle, which then
             moves behind the springs; else it is added.
     """
 
@@ -62,7 +62,7 @@ class FlangeSpring(eqx.Module):
             )
 
     def mounted_on(self, robot: Robot) -> Robot:
-        """Return the robot with springs at its flange, in series with the arm.
+        """Robot with springs at its flange, in series with the arm.
 
         Virtual joints `flange_x`, ... slide along and `flange_rx`, ... turn about the
         flange's axes, in this order.
@@ -109,7 +109,7 @@ class FlangeSpring(eqx.Module):
 
 
 def _without(robot: Robot, body: Body) -> Robot:
-    """Return the robot with a body taken out of the link that carries the flange."""
+    """Robot with a body taken out of the link that carries the flange."""
     link = robot.flange_joint
     if link < 0:
         raise ValueError(
@@ -123,7 +123,7 @@ def _without(robot: Robot, body: Body) -> Robot:
     left = mass - body.mass
     _check_link_mass(robot, left, body.mass)
     # A link that is the spindle and nothing else leaves no mass to have a centre.
-    has_left = left > _NOTHING * mass
+    has_left = left > _LEAST_MASS_SHARE * mass
     _check_whole(robot, body, left, center)
     safe = jnp.where(has_left, left, 1.0)
     new = jnp.where(has_left, (mass * old - body.mass * center) / safe, 0.0)
@@ -144,7 +144,7 @@ def _without(robot: Robot, body: Body) -> Robot:
 
 
 def _steiner(mass: Float[Array, ""], arm: Float[Array, " 3"]) -> Float[Array, "3 3"]:
-    """Return the inertia of a point mass at the end of an arm."""
+    """Inertia of a point mass at the end of an arm."""
     eye = jnp.eye(3, dtype=arm.dtype)
     return mass * (jnp.sum(arm**2) * eye - arm[:, None] * arm[None, :])
 
@@ -169,9 +169,9 @@ def _check_whole(
         return
     link = robot.flange_joint
     old = np.asarray(robot.link_centers[link])
-    if float(left) > _NOTHING * float(robot.link_masses[link]):
+    if float(left) > _LEAST_MASS_SHARE * float(robot.link_masses[link]):
         return
-    if not np.allclose(center, old, rtol=0, atol=_SAME_PLACE):
+    if not np.allclose(center, old, rtol=0, atol=_SAME_CENTER):
         away = 1e3 * float(np.linalg.norm(np.asarray(center) - old))
         raise ValueError(
             f"Argument `center_of_mass` must be that of the last link of "

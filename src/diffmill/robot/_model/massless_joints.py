@@ -9,7 +9,7 @@ from .robot import Robot
 
 
 def factor(mass_matrix: Float[Array, "joint joint"]) -> Float[Array, "joint joint"]:
-    """Return the Cholesky factor of M, not a number where M is singular.
+    """Cholesky factor of M, not a number where M is singular.
 
     A joint whose inertia is all shared with others, down to rounding, has no
     acceleration of its own: a factor would exist, by luck of the last digits.

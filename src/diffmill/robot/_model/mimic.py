@@ -6,8 +6,6 @@ offsets and move with G qd; forces and screws return by G^T, the mass matrix by
 G^T M G. Without a follower all of this is absent from the compiled program.
 """
 
-from typing import NamedTuple
-
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -17,7 +15,7 @@ from .robot import Robot
 
 
 def unfold_positions(robot: Robot, q: Float[Array, " joint"]) -> Float[Array, " body"]:
-    """Return where the joint of every body stands [rad or m]."""
+    """Positions of the joints of all bodies [rad or m]."""
     if not robot.has_mimics:
         return q
     offsets = np.array([0.0 if m is None else m[2] for m in robot.mimics])
@@ -25,40 +23,34 @@ def unfold_positions(robot: Robot, q: Float[Array, " joint"]) -> Float[Array, " 
 
 
 def unfold_rates(robot: Robot, rates: Float[Array, " joint"]) -> Float[Array, " body"]:
-    """Return how fast the joint of every body moves [rad/s or m/s]."""
+    """Velocities of the joints of all bodies [rad/s or m/s]."""
     if not robot.has_mimics:
         return rates
-    followed = _followed(robot)
-    return rates[followed.joints] * jnp.asarray(followed.multipliers, rates.dtype)
+    leaders, multipliers = _leaders(robot)
+    return rates[leaders] * jnp.asarray(multipliers, rates.dtype)
 
 
 def fold(
     robot: Robot, rows: Float[Array, "body column"]
 ) -> Float[Array, "joint column"]:
-    """Return G^T times a matrix with one row per body."""
+    """G^T times a matrix with one row per body."""
     if not robot.has_mimics:
         return rows
-    followed = _followed(robot)
+    leaders, multipliers = _leaders(robot)
     G = np.zeros((robot.body_count, robot.joint_count))
-    G[np.arange(robot.body_count), followed.joints] = followed.multipliers
+    G[np.arange(robot.body_count), leaders] = multipliers
     return sum_rows(jnp.asarray(G.T, rows.dtype), rows)
 
 
-class _Followed(NamedTuple):
-    """Independent joint that moves each body, and its factor, shape (body,) each."""
-
-    joints: np.ndarray
-    multipliers: np.ndarray
-
-
-def _followed(robot: Robot) -> _Followed:
-    sources, multipliers, own = [], [], 0
+def _leaders(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
+    """Index of the joint that moves each body, and its factor, shape (body,) each."""
+    leaders, multipliers, own = [], [], 0
     for mimic in robot.mimics:
         if mimic is None:
-            sources.append(own)
+            leaders.append(own)
             multipliers.append(1.0)
             own += 1
         else:
-            sources.append(mimic[0])
+            leaders.append(mimic[0])
             multipliers.append(mimic[1])
-    return _Followed(np.array(sources), np.array(multipliers))
+    return np.array(leaders), np.array(multipliers)

@@ -1,4 +1,4 @@
-"""A robot compiled to arrays: what every algorithm of this subpackage takes."""
+"""A robot compiled to arrays: the model of every algorithm of this subpackage."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Float
 from ..._types import RealScalarLike, Transform
 from .drives import Backlash, Friction, GearTorque, Motors
 
-# What a user may pass as joint positions, velocities or torques.
+# Joint positions, velocities or torques as a user may pass them.
 JointVector: TypeAlias = (
     Float[Array, " joint"] | Float[np.ndarray, " joint"] | Sequence[RealScalarLike]
 )
@@ -101,18 +101,18 @@ class Robot(eqx.Module):
 
     @property
     def has_mimics(self) -> bool:
-        """Whether some body's joint mimics another."""
+        """True if some body's joint mimics another."""
         return self.body_count > self.joint_count
 
     @property
     def joint_kinds(self) -> tuple[str, ...]:
-        """Return "revolute" or "prismatic" per joint."""
+        """Kind of each joint, "revolute" or "prismatic"."""
         pairs = zip(self.body_kinds, self.mimics, strict=True)
         return tuple(kind for kind, mimic in pairs if mimic is None)
 
     @property
     def joint_units(self) -> tuple[str, ...]:
-        """Return "rad" or "m" per joint."""
+        """Unit of each joint, "rad" or "m"."""
         return tuple("m" if x == "prismatic" else "rad" for x in self.joint_kinds)
 
     @property
@@ -126,7 +126,7 @@ class Robot(eqx.Module):
         return tuple(i for i, virtual in enumerate(self.is_virtual) if not virtual)
 
     def ancestry(self) -> Float[Array, "body body"]:
-        """Return a matrix with 1 in row k, column i where body i carries body k."""
+        """Matrix with 1 in row k, column i where body i carries body k."""
         moves = np.eye(self.body_count)
         for k, parent in enumerate(self.parents):
             if parent >= 0:
@@ -134,15 +134,15 @@ class Robot(eqx.Module):
         return jnp.asarray(moves, self.dtype)
 
     def prismatic_mask(self) -> np.ndarray:
-        """Return whether each body slides, shape (body,)."""
+        """True for bodies that slide, shape (body,)."""
         return np.array([kind == "prismatic" for kind in self.body_kinds])
 
     def motor_mask(self) -> np.ndarray:
-        """Return whether each joint has a motor, shape (joint,)."""
+        """True for joints with a motor, shape (joint,)."""
         return ~np.array(self.is_virtual)
 
     def tool_mask(self) -> np.ndarray:
-        """Return whether each body carries the tool, shape (body,)."""
+        """True for bodies that carry the tool, shape (body,)."""
         moves = np.zeros(self.body_count, dtype=bool)
         joint = self.flange_joint
         while joint >= 0:
@@ -158,7 +158,7 @@ class Robot(eqx.Module):
         return self._not_moving(heavy)
 
     def light_joints(self, lightest: float) -> tuple[str, ...]:
-        """Return the joints that move next to no mass, massless ones included.
+        """Joints that move next to no mass, massless ones included.
 
         Args:
             lightest: Mass from which on a joint counts [kg].
@@ -170,7 +170,7 @@ class Robot(eqx.Module):
         return self._not_moving(masses >= lightest)
 
     def _not_moving(self, heavy: Bool[np.ndarray, " body"]) -> tuple[str, ...]:
-        """Return the joints that move no body of a kind, given which are of it."""
+        """Names of the joints that move none of the heavy bodies."""
         heavy = heavy.copy()
         for body in reversed(range(self.body_count)):
             if self.parents[body] >= 0:
@@ -184,7 +184,7 @@ class Robot(eqx.Module):
         return tuple(n for n, m in zip(self.joint_names, moves, strict=True) if not m)
 
     def with_tool(self, T_flange_tool: Transform) -> "Robot":
-        """Return the robot with another tool tip; masses stay as they are.
+        """Robot with another tool tip; masses stay as they are.
 
         Args:
             T_flange_tool: Maps tool coordinates to the flange's, shape (4, 4); tool +z
@@ -202,7 +202,7 @@ class Robot(eqx.Module):
         stiffness: JointVector | None = None,
         damping: JointVector | None = None,
     ) -> "Robot":
-        """Return the robot with other springs or dampers; None keeps what is there.
+        """Robot with other springs or dampers; None keeps what is there.
 
         Args:
             stiffness: K per joint [N m/rad or N/m], shape (joint,).
@@ -226,7 +226,7 @@ class Robot(eqx.Module):
     def with_backlash(
         self, gap: JointVector, *, corner: RealScalarLike = 0.2
     ) -> "Robot":
-        """Return the robot with backlash in its gears.
+        """Robot with backlash in its gears.
 
             tau = K s(x) + D s'(x) x',   x = theta - q
 
@@ -258,7 +258,7 @@ class Robot(eqx.Module):
     def with_friction(
         self, coulomb: JointVector, viscous: JointVector, speed: JointVector
     ) -> "Robot":
-        """Return the robot with friction in its joints.
+        """Robot with friction in its joints.
 
             tau_f = F_c tanh(v / v_s) + F_v v
 
@@ -285,7 +285,7 @@ class Robot(eqx.Module):
     def with_motors(
         self, inertia: JointVector, stiffness: JointVector, damping: JointVector
     ) -> "Robot":
-        """Return the robot with motors that have a mass and are held by a servo.
+        """Robot with motors that have a mass and are held by a servo.
 
             J_m theta'' = K_s (theta_c - theta) + D_s (theta_c' - theta') - tau
 
@@ -321,7 +321,7 @@ class Robot(eqx.Module):
     def gear_torque(
         self, stretch: Float[Array, " joint"], rate: Float[Array, " joint"]
     ) -> GearTorque:
-        """Return what the gears carry at a stretch x = theta - q.
+        """Torque of the gears at a stretch x = theta - q, and its slopes.
 
         Args:
             stretch: x [rad or m], shape (joint,).
@@ -342,10 +342,10 @@ class Robot(eqx.Module):
     def drive_deflection(
         self, torque: Float[Array, " joint"]
     ) -> Float[Array, " joint"]:
-        """Return theta_c - q of drives at rest: gear, gap and servo in series.
+        """Deflection theta_c - q of drives at rest: gear, gap and servo in series.
 
         Args:
-            torque: What the gears carry [N m or N], shape (joint,).
+            torque: Torque of the gears [N m or N], shape (joint,).
 
         Returns:
             s^-1(tau / K) + tau / K_s [rad or m], shape (joint,). A gear that carries
@@ -360,7 +360,7 @@ class Robot(eqx.Module):
         return stretch + self.servo_deflection(torque)
 
     def backlash_deflection(self, y: Float[Array, " joint"]) -> Float[Array, " joint"]:
-        """Return s^-1(y): the stretch of gears whose springs are stretched by y.
+        """Stretch s^-1(y) of gears whose springs are stretched by y.
 
         Args:
             y: Stretch of the springs alone [rad or m], shape (joint,).
@@ -378,7 +378,7 @@ class Robot(eqx.Module):
     def servo_deflection(
         self, torque: Float[Array, " joint"]
     ) -> Float[Array, " joint"]:
-        """Return by how much servos at rest yield to a torque, tau / K_s [rad or m].
+        """Deflection of servos at rest by a torque, tau / K_s [rad or m].
 
         Args:
             torque: [N m or N], shape (joint,).
@@ -392,7 +392,7 @@ class Robot(eqx.Module):
     def gravity_compensation(
         self, gravity: Float[Array, " joint"]
     ) -> Float[Array, " joint"]:
-        """Return what a controller adds to the command against gravity [rad or m].
+        """Compensation of gravity that a controller adds to the command [rad or m].
 
         The yielding of springs and servos; it knows of no gap.
 
@@ -407,7 +407,7 @@ class Robot(eqx.Module):
         return lift + self.servo_deflection(gravity)
 
     def friction_torque(self, v: Float[Array, " joint"]) -> Float[Array, " joint"]:
-        """Return the torque of friction against a motion [N m or N], shape (joint,).
+        """Torque of friction against a motion [N m or N], shape (joint,).
 
         Args:
             v: Joint velocities [rad/s or m/s], shape (joint,).
@@ -422,7 +422,7 @@ class Robot(eqx.Module):
 def joint_vector(
     robot: Robot, values: JointVector, name: str
 ) -> Float[Array, " joint"]:
-    """Return a user's joint vector as an array of the robot's type.
+    """User's joint vector as an array of the robot's type.
 
     Args:
         robot: The robot.
@@ -446,7 +446,7 @@ def joint_vector(
 
 
 def wrench_vector(robot: Robot, wrench: Wrench | None) -> Float[Array, " 6"]:
-    """Return a user's wrench as an array of the robot's type, 0 for None."""
+    """User's wrench as an array of the robot's type, 0 for None."""
     if wrench is None:
         return jnp.zeros(6, robot.dtype)
     vector = jnp.asarray(wrench, dtype=robot.dtype)

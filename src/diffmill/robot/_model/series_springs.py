@@ -52,7 +52,7 @@ def with_series_springs(
     body: Body,
     T_flange_springs: Float[Array, "4 4"],
 ) -> Robot:
-    """Return the robot with springs in series between its flange and its tool.
+    """Robot with springs in series between its flange and its tool.
 
     Args:
         robot: The robot.
@@ -70,7 +70,8 @@ def with_series_springs(
     if taken:
         raise ValueError(f"Joint names must be unique, but occur twice: {taken}.")
     dtype, count = robot.dtype, len(springs)
-    aligns = [_align(spring.axis) for spring in springs]
+    # Rotations that turn z to the axes of the springs, by changing names.
+    aligns = [np.roll(np.eye(3), spring.axis + 1, axis=0) for spring in springs]
     turns = [b.T @ a for a, b in zip(aligns[1:], aligns[:-1], strict=True)]
     to_end = jnp.asarray(aligns[-1].T, dtype)
     T_first = matrix_product(robot.T_joint_flange, T_flange_springs)
@@ -122,7 +123,7 @@ def with_series_springs(
 
 
 def _plain_drives(robot: Robot, count: int) -> dict[str, eqx.Module | None]:
-    """Return the drives' options with none of them in the joints to come."""
+    """Drives' options with none of them in the joints to come."""
     extend = lambda values, more: jnp.concatenate(
         [values, jnp.full(count, more, values.dtype)]
     )
@@ -142,8 +143,3 @@ def _plain_drives(robot: Robot, count: int) -> dict[str, eqx.Module | None]:
             extend(motors.damping, 0.0),
         )
     return {"backlash": gaps, "friction": friction, "motors": motors}
-
-
-def _align(axis: int) -> np.ndarray:
-    """Return a rotation that turns z to an axis of the frame, by changing names."""
-    return np.roll(np.eye(3), axis + 1, axis=0)
