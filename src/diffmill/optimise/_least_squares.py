@@ -62,7 +62,7 @@ class LinearRows(eqx.Module):
     weight: float = np.inf
 
     def energy(self, p: Vector) -> float:
-        """Return the energy of the springs after a step, 0 for constraints."""
+        """Energy of the springs after a step, 0 for constraints."""
         if np.isinf(self.weight):
             return 0.0
         values = self.matrix @ p
@@ -75,7 +75,7 @@ def _in_units(
     is_free: Bool[np.ndarray, " unknown"],
     unit: Float[np.ndarray, " free"],
 ) -> LinearRows:
-    """Return constraints of the free unknowns in their units."""
+    """Constraints of the free unknowns in their units."""
     from scipy import sparse
 
     matrix = sparse.csr_array(rows.matrix)[:, is_free] @ sparse.diags_array(unit)
@@ -109,7 +109,7 @@ class QuadraticModel(eqx.Module):
         return -change
 
     def damped_step(self, damping: float, box: LinearRows) -> Vector | None:
-        """Return the step of the least cost with a damped curvature.
+        """Step of the least cost with a damped curvature.
 
         Unknowns without effect on the cost stay.
 
@@ -141,7 +141,7 @@ class QuadraticModel(eqx.Module):
         return np.where(p >= box.upper - near, box.upper, p)
 
     def minimum(self) -> Vector | None:
-        """Return the step of the least cost in the model within its constraints.
+        """Step of the least cost in the model within its constraints.
 
         Of many constraints few bind, so those are left out that the minimum of the
         others keeps by itself: what it leaves is added until it leaves none. The last
@@ -213,7 +213,7 @@ class AbstractProblem(eqx.Module):
 
     @abc.abstractmethod
     def model(self, x: Vector, value: Value) -> QuadraticModel:
-        """Return the quadratic model around a point.
+        """Quadratic model around a point.
 
         Args:
             x: The point, shape (unknown,).
@@ -300,7 +300,7 @@ class LeastSquaresState(eqx.Module):
     def begin(
         cls, problem: AbstractProblem, x: Vector, value: Value, damping: float
     ) -> "LeastSquaresState":
-        """Return the state in which a search begins.
+        """State in which a search begins.
 
         Args:
             problem: The problem.

@@ -54,7 +54,7 @@ class OutputConstraints(eqx.Module):
     def rows(
         self, outputs: Outputs, slopes: Float[np.ndarray, "output unknown"]
     ) -> LinearRows:
-        """Return the constraints of a step: hard ones if all outputs are within.
+        """Constraints of a step: hard ones if all outputs are within.
 
         Args:
             outputs: Where the step begins, shape (output,).

@@ -32,14 +32,26 @@ class CommandStatistics(eqx.Module):
             command: The whole command, shape (step, axis).
         """
         command = np.asarray(command, np.float64)
-        acceleration = np.diff(command, 2, axis=0) / problem.time_step**2
-        acceleration = np.linalg.norm(acceleration, axis=1)
+        acceleration = command_acceleration(command, float(problem.time_step))
         offset = np.abs(command - np.asarray(problem.nominal, np.float64))
         return cls(
             max_acceleration=float(acceleration.max()),
             p95_acceleration=float(np.percentile(acceleration, 95)),
             max_offset=float(offset.max()),
         )
+
+
+def command_acceleration(
+    command: FloatRows, time_step: float
+) -> Float[np.ndarray, " inner"]:
+    """Acceleration of a command at its inner rows, its vector's length.
+
+    Args:
+        command: The command, shape (step, axis).
+        time_step: Time between two rows [s].
+    """
+    change = np.diff(np.asarray(command, np.float64), 2, axis=0)
+    return np.linalg.norm(change / time_step**2, axis=1)
 
 
 def contour_statistics(
@@ -49,7 +61,7 @@ def contour_statistics(
     """Statistics of the contour error, by the weights of the problem's rows.
 
     Args:
-        problem: Tells how much each row counts.
+        problem: The problem, whose weights count.
         contour: Contour vectors [m], shape (step, 3).
 
     Returns:

@@ -23,7 +23,7 @@ class LinearMotion(eqx.Module):
 
     @abc.abstractmethod
     def move(self, changes: Float[Array, "step axis direction"]) -> Motion:
-        """Return the changes of the motion, each direction a row of the first axis.
+        """Changes of the motion, each direction a row of the first axis.
 
         Args:
             changes: Of the command, shape (step, axis, direction).
@@ -37,7 +37,7 @@ class HasLinearMotion(Protocol):
     """A plant that knows its linear system."""
 
     def linearised(self, command: FloatRows) -> LinearMotion | None:
-        """Return the linear system around a command; None where it is not known."""
+        """Linear system around a command; None where it is not known."""
         ...
 
 
@@ -53,12 +53,12 @@ class TracedMotion(LinearMotion):
     push: PyTree
 
     def move(self, changes: Float[Array, "step axis direction"]) -> Motion:
-        """Return the changes of the motion, each direction a row of the first axis."""
+        """Changes of the motion, each direction a row of the first axis."""
         return jax.vmap(self.push, in_axes=-1)(changes)
 
 
 def linear_motion(plant: Plant, command: FloatRows) -> LinearMotion:
-    """Return the motion of a plant and its linear system around a command.
+    """Motion of a plant and its linear system around a command.
 
     Args:
         plant: The plant.

@@ -23,7 +23,7 @@ class MethodResult(eqx.Module):
 
     Attributes:
         command: The corrected command, whole, shape (step, axis).
-        motion: What the plant does with it.
+        motion: Motion of the plant that follows it.
         contour: Contour vectors [m], shape (step, 3).
         measures: Contour error, by the weights of the rows; NaN where it is not finite.
         command_statistics: Acceleration and offset of the command.
@@ -57,7 +57,7 @@ class AbstractMethod(eqx.Module):
         start: FloatRows | None = None,
         on_progress: OnProgress | None = None,
     ) -> MethodResult:
-        """Return the corrected command.
+        """Outcome of the method, always with a run of the plant on the final command.
 
         Args:
             problem: The problem.
@@ -65,9 +65,6 @@ class AbstractMethod(eqx.Module):
                 for the nominal one.
             on_progress: Called with a message and the rms contour error so far [m];
                 True ends the method with the best so far.
-
-        Returns:
-            The outcome, always with a run of the plant on the final command.
         """
 
 
@@ -76,7 +73,7 @@ class GivenCommand(AbstractMethod):
 
     Attributes:
         command: The command, shape (step, axis); None for the nominal one.
-        motion: What the plant does with it; found by a run if None.
+        motion: Motion of the plant that follows it; found by a run if None.
     """
 
     command: FloatRows | None = None
@@ -89,7 +86,7 @@ class GivenCommand(AbstractMethod):
         start: FloatRows | None = None,
         on_progress: OnProgress | None = None,
     ) -> MethodResult:
-        """Return the command with the motion that follows; `start` is not used."""
+        """Outcome of the command; `start` is not used."""
         command = problem.nominal if self.command is None else self.command
         runs = 0 if self.motion is None else 1
         return corrected(problem, command, motion=self.motion, forward_runs=runs)
@@ -106,7 +103,7 @@ def corrected(
     detail: dict[str, float] | None = None,
     result: RESULTS = RESULTS.successful,
 ) -> MethodResult:
-    """Collect the outcome of a method; run the plant unless its motion is given.
+    """Outcome of a method, with a run of the plant unless its motion is given.
 
     Args:
         problem: The problem.
@@ -117,9 +114,6 @@ def corrected(
         history: Steps of the optimiser.
         detail: Settings that the method chose.
         result: Outcome so far; a motion that is not finite overrides it.
-
-    Returns:
-        The outcome.
 
     **Differentiability**: runs on the host, not traceable.
     """

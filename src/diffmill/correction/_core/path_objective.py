@@ -21,13 +21,13 @@ class AbstractObjective(eqx.Module):
     def errors(
         self, problem: Problem, motion: Motion, lag_weight: RealScalarLike
     ) -> Float[Array, " error"]:
-        """Return the weighted errors of a motion.
+        """Weighted errors of a motion [m], shape (error,).
 
         Args:
             problem: The problem, whose row weights count.
-            motion: What the plant does.
-            lag_weight: Weight of what the error itself does not see, so that the
-                command does not drift where that gains nothing.
+            motion: Motion of the plant.
+            lag_weight: Weight of the deviation that the error itself does not see, so
+                that the command does not drift where that gains nothing.
 
         Returns:
             Errors times the root of their share in the mean [m], shape (error,).
@@ -36,7 +36,7 @@ class AbstractObjective(eqx.Module):
     def for_step(
         self, problem: Problem, motion: Motion, lag_weight: RealScalarLike
     ) -> "AbstractObjective":
-        """Return the objective of which the model of a step is made, by default self.
+        """Objective of which the model of a step is made, by default self.
 
         For an objective whose slopes at a motion know nothing of what a step from there
         runs into. Its square is to fall where that of self does; whether it has, a run
@@ -44,8 +44,8 @@ class AbstractObjective(eqx.Module):
 
         Args:
             problem: The problem, whose row weights count.
-            motion: What the plant does where the step begins.
-            lag_weight: As of `errors`.
+            motion: Motion of the plant where the step begins.
+            lag_weight: Weight of the lag, see `errors`.
         """
         del problem, motion, lag_weight
         return self
@@ -66,7 +66,7 @@ class PathObjective(AbstractObjective):
     def errors(
         self, problem: Problem, motion: Motion, lag_weight: RealScalarLike
     ) -> Float[Array, " error"]:
-        """Return the contour vectors, shortened by the tolerance, and the lag.
+        """Contour vectors, shortened by the tolerance, with the lag [m], flat.
 
         **Differentiability**: that of `Problem.contour`; kink at the border of the
         band.
@@ -80,7 +80,7 @@ class PathObjective(AbstractObjective):
     def for_step(
         self, problem: Problem, motion: Motion, lag_weight: RealScalarLike
     ) -> AbstractObjective:
-        """Return the objective with the slopes of the whole error.
+        """Objective with the slopes of the whole error.
 
         Within a tolerance a row has none, so that a step is free to move it out again.
         With those of the whole error the square of the linear model lies nowhere below
@@ -109,7 +109,7 @@ class _DeadbandModel(AbstractObjective):
     def errors(
         self, problem: Problem, motion: Motion, lag_weight: RealScalarLike
     ) -> Float[Array, " error"]:
-        """Return the errors less the part."""
+        """Errors of the objective less the part [m], shape (error,)."""
         return self.whole.errors(problem, motion, lag_weight) - self.part
 
 
@@ -120,7 +120,7 @@ def _deadband_part(
     problem: Problem,
     motion: Motion,
 ) -> Float[Array, " error"]:
-    """Return by how much the errors of an objective are shorter than whole ones."""
+    """Part of the whole errors that a deadband takes away [m], shape (error,)."""
     errors = lambda objective: objective.errors(problem, motion, 0.0)
     return errors(whole) - errors(shortened)
 
@@ -137,14 +137,11 @@ def check_objective(objective: object) -> None:
 def deadband(
     vector: Float[Array, "row axis"], tolerance: RealScalarLike
 ) -> Float[Array, "row axis"]:
-    """Return vectors shortened by a tolerance, zero where they are shorter.
+    """Vectors shortened by a tolerance, zero where they are shorter [m], (row, axis).
 
     Args:
         vector: Vectors [m], shape (row, axis).
         tolerance: Length to take off [m], at least 0.
-
-    Returns:
-        Shortened vectors, shape (row, axis).
 
     **Differentiability**: kink where the length is the tolerance; its square has
     none. With no tolerance the identity, at zero too.
@@ -158,15 +155,15 @@ def deadband(
 
 
 def deviation_of(problem: Problem, motion: Motion) -> Float[Array, "step 3"]:
-    """Return actual - desired [m], shape (step, 3)."""
+    """Deviation actual - desired [m], shape (step, 3)."""
     return motion.actual - jnp.asarray(problem.desired, motion.actual.dtype)
 
 
 def row_shares(problem: Problem, dtype: jnp.dtype) -> Float[Array, " step"]:
-    """Return the roots of the rows' shares in a weighted mean, shape (step,).
+    """Roots of the rows' shares in a weighted mean, shape (step,).
 
-    Rows that do not count have a little weight all the same: what no row sees would be
-    free to leave the path as far as the bounds, on the way through the air.
+    Rows that do not count have a little weight all the same: on the way through the air
+    the command would be free to leave the path as far as the bounds.
     """
     weights = jnp.asarray(problem.is_cutting, dtype)
     total = jnp.sum(weights)

@@ -44,7 +44,7 @@ class PathParts(eqx.Module):
         *,
         removed_volume: FloatSteps | None = None,
     ) -> "PathParts":
-        """Return the parts of a path.
+        """Parts of a path.
 
         A row is in a corner if the desired path turns by more than 10 degrees within
         half a reach to either side. Else it is an entry within a reach after the cut
@@ -90,7 +90,7 @@ class PathParts(eqx.Module):
     def figures(
         self, error: Float[np.ndarray, " step"] | Float[Array, " step"]
     ) -> dict[str, Float[np.ndarray, " part"]]:
-        """Return figures of an error for each part, NaN where a part is absent.
+        """Figures of an error for each part, NaN where a part is absent.
 
         Args:
             error: Length of the error at every row [m], shape (step,).
@@ -117,7 +117,7 @@ class PathParts(eqx.Module):
     def is_out_of_cut(
         self, force: FloatRows3, *, rigid_force: FloatRows3, desired: FloatRows3
     ) -> Bool[np.ndarray, " step"]:
-        """Return at which rows a tool cuts nothing where it should be in a full cut.
+        """True at rows where a tool cuts nothing but should be in a full cut, (step,).
 
         Entries and exits do not count: there a tool that is a little off begins or ends
         its cut a little earlier or later. Nor do rows at which the tool nearly stands,

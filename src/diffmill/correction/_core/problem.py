@@ -39,11 +39,11 @@ class AbstractHostPlant(eqx.Module):
 
     @abc.abstractmethod
     def __call__(self, command: Float[Array, "step axis"]) -> Motion:
-        """Return the motion that follows a command, shape (step, axis); traceable."""
+        """Motion that follows a command, shape (step, axis); traceable."""
 
     @abc.abstractmethod
     def run(self, command: FloatRows) -> Motion:
-        """Return the same motion; not traceable."""
+        """Motion that follows a command, by a compiled program; not traceable."""
 
 
 def _as_leaf(value: RealScalarLike) -> RealScalarLike:
@@ -87,17 +87,16 @@ class Problem(eqx.Module):
 
     @property
     def without_plant(self) -> "Problem":
-        """The problem for what needs no plant, compiled once for all plants."""
+        """Problem for figures of a known motion, compiled once for all plants."""
         return dataclasses.replace(self, plant=_no_plant)
 
     def contour(self, motion: Motion) -> Float[Array, "step 3"]:
-        """Return the vector from the nearest point of the desired path to the tip.
+        """Vectors from the desired path to the tips [m], each the shortest, (step, 3).
+
+        Also where the tool does not cut.
 
         Args:
             motion: The motion.
-
-        Returns:
-            Contour vectors [m], shape (step, 3); also where the tool does not cut.
 
         **Differentiability**: smooth but where the nearest segment changes.
         """
@@ -116,7 +115,7 @@ class Problem(eqx.Module):
 
 
 def motion_of(plant: Plant, command: FloatRows) -> Motion:
-    """Return the motion of a plant that follows a command, by a compiled program.
+    """Motion of a plant that follows a command, by a compiled program.
 
     Args:
         plant: The plant.
@@ -135,4 +134,4 @@ def _compiled(plant: Plant, command: FloatRows) -> Motion:
 
 
 def _no_plant(command: Float[Array, "step axis"]) -> Motion:
-    raise NotImplementedError("what is known of a motion needs no plant")
+    raise NotImplementedError("figures of a known motion need no plant")

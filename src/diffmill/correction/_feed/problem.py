@@ -31,7 +31,7 @@ class WeightedContour(eqx.Module):
     lengths: Float[Array, " row"]
 
     def mean_square(self) -> Float[Array, ""]:
-        """Return the mean square over the length of the path [m^2]."""
+        """Mean square over the length of the path [m^2]."""
         square = jnp.sum(self.vectors**2, axis=1)
         return jnp.sum(self.lengths * square) / jnp.sum(self.lengths)
 
@@ -68,7 +68,7 @@ class FeedProblem(eqx.Module):
     def prediction(
         self, override: Float[Array, " knot"], step_count: int
     ) -> WeightedContour:
-        """Return the contour vectors and how much each of them counts.
+        """Contour vectors, with the length of path that each stands for.
 
         Args:
             override: Override at the knots, shape (knot,).
@@ -95,10 +95,10 @@ class FeedProblem(eqx.Module):
 
     @staticmethod
     def smoothed(weights: Weights, rows: int = 8) -> Float[np.ndarray, " step"]:
-        """Return weights that rise and fall smoothly, over some rows to either side.
+        """Weights that rise and fall smoothly, over some rows to either side.
 
         Where a weight jumps, the rows come and go one by one as the feed changes; the
-        sum over them then has small waves, whose slopes are as steep as what is sought.
+        sum over them then has small waves, as steep as the slopes that are sought.
         """
         box = np.full(rows, 1 / rows)
         window = np.convolve(box, box)
@@ -122,7 +122,7 @@ class FeedFigures(eqx.Module):
 def feed_figures(
     problem: FeedProblem, x: Float[Array, " knot"], step_count: int
 ) -> FeedFigures:
-    """Return the figures of a path at the logarithms of its override."""
+    """Figures of a path at the logarithms of its override."""
     override = jnp.exp(x)
     found = problem.prediction(override, step_count)
     return FeedFigures(found.mean_square(), problem.feed.instants(override)[-1])
@@ -148,7 +148,7 @@ class FeedSlopes(eqx.Module):
 def feed_slopes(
     problem: FeedProblem, x: Float[Array, " knot"], step_count: int
 ) -> FeedSlopes:
-    """Return the derivatives of the figures by the logarithms of the override."""
+    """Derivatives of the figures by the logarithms of the override."""
     predict = lambda x: (problem.prediction(jnp.exp(x), step_count),) * 2
     slopes, found = jax.jacfwd(predict, has_aux=True)(x)
     # Lengths and weights of the rows change too, but give no curvature: a sum over

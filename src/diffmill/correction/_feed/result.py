@@ -35,7 +35,7 @@ class FeedTradeoff(eqx.Module):
     max_offset: Float[np.ndarray, " override"]
 
     def to_dataset(self) -> "xarray.Dataset":
-        """Return the table on the dimension `override`, units in the attributes."""
+        """Table on the dimension `override`, units in the attributes."""
         import xarray
 
         rms = "root mean square contour error over the length that is cut"
@@ -75,7 +75,7 @@ class TunedFeed(eqx.Module):
     paths: tuple[Path, ...]
 
     def to_dataset(self) -> "xarray.Dataset":
-        """Return the curve on the dimensions `weight` and `knot`."""
+        """Curve on the dimensions `weight` and `knot`."""
         import xarray
 
         column = lambda name: np.array([getattr(p, name) for p in self.points])

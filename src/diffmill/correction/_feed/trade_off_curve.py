@@ -71,7 +71,7 @@ class FeedPoint(eqx.Module):
         max_steps: int = 8,
         on_progress: OnShare | None = None,
     ) -> "tuple[FeedPoint, ...]":
-        """Return the best override for each weight, after the path as it is.
+        """Best override for each weight, after the path as it is.
 
         Args:
             problem: The path and the plant.
@@ -173,7 +173,7 @@ class _Objective(AbstractProblem):
     rows: int
 
     def evaluate(self, x: Float[np.ndarray, " knot"]) -> FeedFigures | None:
-        """Return the figures; None where the motion is not finite."""
+        """Figures; None where the motion is not finite."""
         figures = _figures(self.problem, x, self.rows)
         is_finite = math.isfinite(figures.square) and math.isfinite(figures.time)
         return figures if is_finite else None
@@ -181,7 +181,7 @@ class _Objective(AbstractProblem):
     def model(
         self, x: Float[np.ndarray, " knot"], value: FeedFigures
     ) -> QuadraticModel:
-        """Return the model of the objective."""
+        """Model of the objective."""
         dtype = jnp.result_type(self.problem.feed.path.positions)
         slopes = feed_slopes(self.problem, jnp.asarray(x, dtype), self.rows)
         g, H, g_time, H_time = (

@@ -40,7 +40,7 @@ class FeedPlant(eqx.Module):
         axes: Float[Array, "row 3"],
         tool_x: Float[Array, "row 3"] | None = None,
     ) -> Motion:
-        """Return the motion that follows the desired path as command."""
+        """Motion that follows the desired path as command."""
         place = lambda job: (job.path.positions, job.path.axes)
         job = eqx.tree_at(place, self.job, (desired, axes))
         if tool_x is not None:

@@ -79,27 +79,27 @@ class Correction(eqx.Module):
 
     @property
     def before(self) -> Solution:
-        """Return the solution of the uncorrected program."""
+        """Solution of the uncorrected program."""
         return self.cases["uncorrected"]
 
     @property
     def after(self) -> Solution:
-        """Return the solution of the corrected program."""
+        """Solution of the corrected program."""
         return self.cases[self.chosen]
 
     @property
     def mirror(self) -> Solution:
-        """Return the solution of the one-shot mirror."""
+        """Solution of the one-shot mirror."""
         return self.cases["mirror"]
 
     @property
     def commanded(self) -> Float[Array, "step 3"]:
-        """Return the corrected tip positions [m], shape (step, 3)."""
+        """Corrected tip positions [m], shape (step, 3)."""
         return self.after.commanded
 
     @property
     def history(self) -> tuple[LeastSquaresStep, ...]:
-        """Return the steps of the chosen method, without those that found its start."""
+        """Steps of the chosen method, without those that found its start."""
         return self.methods[self.chosen].history
 
     def surfaces(self) -> dict[str, SurfaceError]:
@@ -122,7 +122,7 @@ class Correction(eqx.Module):
     def to_dataset(
         self, surfaces: dict[str, SurfaceError] | None = None
     ) -> "xarray.Dataset":
-        """Return all cases on `case`, figures by part of the path, and costs.
+        """All cases on `case`, figures by part of the path, and costs.
 
         Args:
             surfaces: What `surfaces` has computed. If not given it is computed, and
@@ -234,7 +234,7 @@ def correct(
 
 
 def compared(job: Job) -> tuple[str, ...]:
-    """Return the cases of a job's correction, in the order of `CASES`."""
+    """Cases of a job's correction, in the order of `CASES`."""
     settings = job.correction
     asked = "corrected" if settings.method in OPTIMISERS else settings.method
     cases = {"uncorrected", "mirror", "inverse_drive", asked}

@@ -4,10 +4,10 @@ from dataclasses import fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Array, Float
 
 from ..._result import RESULTS
 from ...workpiece import SurfaceError
+from .._core.error_metrics import command_acceleration
 from .._core.path_segments import PathParts
 
 if TYPE_CHECKING:
@@ -44,9 +44,11 @@ _SURFACE_FIGURES = {
 def correction_dataset(
     correction: "Correction", surfaces: dict[str, SurfaceError] | None = None
 ) -> "xarray.Dataset":
-    """Return all cases on the dimension `case`, costs in the attributes.
+    """Cases on the dimension `case`, costs in the attributes.
 
-    Arguments as of `Correction.to_dataset`.
+    Args:
+        correction: The correction.
+        surfaces: Errors of the surface, see `Correction.to_dataset`.
     """
     import xarray
 
@@ -85,19 +87,18 @@ def correction_dataset(
 
 
 def _figures(correction: "Correction") -> dict[str, tuple[Any, ...]]:
-    """Return the figures of all cases as variables of a dataset."""
+    """Figures of all cases as variables of a dataset."""
     parts = correction.path_parts
     contours = [method.contour for method in correction.methods.values()]
     tables = [parts.figures(np.linalg.norm(contour, axis=1)) for contour in contours]
     means = np.stack(
         [np.mean(contour[parts.index >= 0], axis=0) for contour in contours]
     )
-    accelerations = np.array(
-        [
-            _acceleration(solution.commanded, solution.time)
-            for solution in correction.cases.values()
-        ]
-    )
+    accelerations = []
+    for solution in correction.cases.values():
+        time = np.asarray(solution.time, np.float64)
+        time_step = float((time[-1] - time[0]) / (len(time) - 1))
+        accelerations.append(command_acceleration(solution.commanded, time_step))
     meaning = "mean of the vector from the desired path to the tip, where the tool cuts"
     found: dict[str, tuple[Any, ...]] = {
         "path_part": (
@@ -118,12 +119,12 @@ def _figures(correction: "Correction") -> dict[str, tuple[Any, ...]]:
         ),
         "max_acceleration": (
             ("case",),
-            accelerations[:, 0],
+            np.array([each.max() for each in accelerations]),
             _about("m s-2", "largest acceleration of the commanded tip"),
         ),
         "p95_acceleration": (
             ("case",),
-            accelerations[:, 1],
+            np.array([np.percentile(each, 95) for each in accelerations]),
             _about("m s-2", "95 % of the rows have a smaller acceleration"),
         ),
     }
@@ -154,7 +155,7 @@ def _figures(correction: "Correction") -> dict[str, tuple[Any, ...]]:
 def _surface_figures(
     surfaces: dict[str, SurfaceError],
 ) -> dict[str, tuple[Any, ...]]:
-    """Return the errors of the machined surface, walls and floors apart."""
+    """Errors of the machined surface as variables, walls and floors apart."""
     if not surfaces:
         return {}
     measures = [error.measures() for error in surfaces.values()]
@@ -173,13 +174,3 @@ def _surface_figures(
 
 def _about(units: str, meaning: str) -> dict[str, Any]:
     return {"units": units, "long_name": meaning}
-
-
-def _acceleration(
-    commanded: Float[Array, "step 3"], time: Float[Array, " step"]
-) -> tuple[float, float]:
-    """Return the largest acceleration of a tip command, and that of 95 %."""
-    tips, instants = np.asarray(commanded, np.float64), np.asarray(time, np.float64)
-    step = (instants[-1] - instants[0]) / (len(instants) - 1)
-    size = np.linalg.norm(np.diff(tips, 2, axis=0), axis=1) / step**2
-    return float(size.max()), float(np.percentile(size, 95))

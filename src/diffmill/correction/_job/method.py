@@ -32,7 +32,7 @@ def job_optimiser(
     surface: FinishedSurface | None,
     plant: TipPlant,
 ) -> Optimiser:
-    """Return the optimiser with the settings of a job.
+    """Optimiser with the settings of a job.
 
     Raises:
         ValueError: Bounds of the surface are asked for where there is none.
@@ -88,7 +88,7 @@ def out_of_bounds(method: Optimiser, found: MethodResult) -> float:
 
 
 def job_bounds(job: Job, surface: FinishedSurface | None) -> SurfaceBounds | None:
-    """Return the bounds of the surface that `[correction]` asks for, or None.
+    """Bounds of the surface that `[correction]` asks for, or None.
 
     Raises:
         ValueError: They are asked for where there is no surface of walls and floors.
@@ -108,7 +108,7 @@ def job_bounds(job: Job, surface: FinishedSurface | None) -> SurfaceBounds | Non
 
 
 def within_joint_limits(method: Optimiser, job: Job, problem: Problem) -> Optimiser:
-    """Return the optimiser with the limits of the joints.
+    """Optimiser with the limits of the joints.
 
     Raises:
         InfeasibleLimit: The program leaves the joints no room.

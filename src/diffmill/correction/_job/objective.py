@@ -28,7 +28,7 @@ class UnsuitableSettings(ValueError):
 def job_weights(
     job: Job, rigid: Run, is_cutting: BoolSteps, surface: FinishedSurface | None
 ) -> Float[np.ndarray, " step"]:
-    """Return the weight of every row, as `[correction]` asks for.
+    """Weight of every row, as `[correction]` asks for.
 
     On the path, rows that only pass over the surface count a little: nothing else keeps
     the command from swinging into what has been cut.
@@ -57,7 +57,7 @@ def job_weights(
 def job_surface(
     job: Job, rigid: Run, wall_share: Float[Array, " step"]
 ) -> FinishedSurface | None:
-    """Return the surface as it should be; None where it is not of walls and floors.
+    """Surface as it should be; None where it is not of walls and floors.
 
     It is for a flat cutter that stands along +z and leaves something of what it cut.
     """
@@ -105,7 +105,7 @@ _AIMED = 0.5
 
 
 def job_spline(job: Job) -> SplineOffsets:
-    """Return the basis of a job's offsets.
+    """Basis of a job's offsets.
 
     Raises:
         UnsuitableSettings: The program is too short for the knots.
@@ -122,7 +122,7 @@ def job_objective(
     surface: FinishedSurface | None,
     weights: Float[np.ndarray, " step"],
 ) -> AbstractObjective:
-    """Return the objective that `[correction]` asks for, with the weights of the rows.
+    """Objective that `[correction]` asks for, with the weights of the rows.
 
     Raises:
         UnsuitableSettings: A surface is asked for where there is none.
@@ -147,7 +147,7 @@ def job_objective(
 
 
 def job_ensemble(job: Job, nominal: TipPlant) -> Ensemble | None:
-    """Return draws of the job's model, as `[correction.uncertainty]` asks for."""
+    """Draws of the job's model, as `[correction.uncertainty]` asks for."""
     known = job.correction.uncertainty
     if known is None:
         return None
@@ -173,7 +173,7 @@ def job_ensemble(job: Job, nominal: TipPlant) -> Ensemble | None:
 def remaining_error(
     objective: AbstractObjective, problem: Problem, found: MethodResult
 ) -> float:
-    """Return the root mean square of what an objective makes small [m].
+    """Root mean square of the error that an objective makes small [m].
 
     Infinite where the motion is not finite.
     """

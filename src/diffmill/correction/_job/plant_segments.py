@@ -49,23 +49,23 @@ class JobPiece(AbstractPiece):
         return eqx.tree_at(lambda j: j.path, self.job, path)
 
     def run(self, command: Float[Array, "row axis"]) -> tuple[Motion, JobState]:
-        """Return the motion and the state at the last row but for those ahead."""
-        before, job = self.state, self.job
-        joints = _joints(job, command, before.joints, self.has_joint_commands)
+        """Motion, and the state at the last row but for those ahead."""
+        first, job = self.state, self.job
+        joints = _joints(job, command, first.joints, self.has_joint_commands)
         motors, memory = JobKinematics(job).motor_positions_from_joints(joints), None
         if job.controller is not None:
             motors, memory = job.controller.follow(
-                motors, job.tooth_period, before.controller
+                motors, job.tooth_period, first.controller
             )
         own = self._own
         model = MachiningProblem.of(own, self.adjoint)
         assert model.machine is not None
-        rows = model.machine.run_segment(model.process, motors, before.coupled)
+        rows = model.machine.run_segment(model.process, motors, first.coupled)
         motion = wall_motion(own, rows.ends, rows.force, self.wall_share)
         return motion, JobState(rows.state, joints[motors.shape[0] - 1], memory)
 
     def linearised(self, command: FloatRows) -> LinearJob:
-        """Return the linear system around a command, from the fixed first state."""
+        """Linear system around a command, from the fixed first state."""
         job, start = self.job, self.state.joints
         command, are_joints = jnp.asarray(command), self.has_joint_commands
         joints = _joints(job, command, start, are_joints)
@@ -97,7 +97,7 @@ class JobPieces(AbstractPieces):
         return preview_rows(self.job)
 
     def begin(self, command: Float[Array, "row axis"]) -> JobState:
-        """Return the state in equilibrium with the motion of the first period."""
+        """State in equilibrium with the motion of the first period."""
         last = self.job.path.step_count - 1
         job = with_rows(self.job, np.minimum(np.arange(command.shape[0]), last))
         before, ahead = 0, 0
@@ -108,7 +108,7 @@ class JobPieces(AbstractPieces):
         )
 
     def piece(self, state: PyTree, rows: Int[np.ndarray, " row"]) -> JobPiece:
-        """Return the piece that starts from a state."""
+        """Piece that starts from a state."""
         # The stock is the state's: the raw one would only be carried along.
         job = eqx.tree_at(
             lambda j: j.stock, with_rows(self.job, rows), state.coupled.process.stock
@@ -121,7 +121,7 @@ class JobPieces(AbstractPieces):
 
 
 def preview_rows(job: Job) -> int:
-    """Return by how many rows a job's controller looks ahead; 0 for an ideal one."""
+    """Rows by which a job's controller looks ahead; 0 for an ideal one."""
     if job.controller is None:
         return 0
     return job.controller.span(job.tooth_period).ahead
@@ -159,7 +159,7 @@ def _joints(
     start: Float[Array, " joint"],
     has_joint_commands: bool,
 ) -> Float[Array, "row joint"]:
-    """Return the joint positions of a command."""
+    """Joint positions of a command [rad or m], shape (row, joint)."""
     if has_joint_commands:
         return command
     started = eqx.tree_at(
@@ -169,14 +169,11 @@ def _joints(
 
 
 def with_rows(job: Job, rows: Int[np.ndarray, " step"]) -> Job:
-    """Return a job with some rows of its path.
+    """Job with some rows of its path; stock and settings stay.
 
     Args:
         job: The job.
         rows: The rows, shape (step,); one may come several times.
-
-    Returns:
-        The job; stock and settings stay.
 
     **Differentiability**: that of the path.
     """

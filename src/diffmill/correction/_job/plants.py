@@ -26,17 +26,17 @@ from .plant_segments import JobPieces, with_rows
 
 
 class SolvedMotion(Motion):
-    """The motion of a job, with the solution that it was taken from.
+    """Motion of a job with its solution.
 
-    Attributes as of `Motion`, and:
-        solution: The solution.
+    Attributes:
+        solution: The solution, from which actual tips and forces are taken.
     """
 
     solution: Solution
 
 
 def solved_motion(solution: Solution) -> SolvedMotion:
-    """Return the motion of a solution, as its walls show it."""
+    """Motion of a solution, at the instants at which its walls are made."""
     actual = solution.desired + solution.surface_deviation
     return SolvedMotion(actual, solution.force, solution)
 
@@ -64,15 +64,15 @@ class TipPlant(AbstractHostPlant):
         return JobPieces(self.job, self.adjoint, self.wall_share)
 
     def motors(self, command: Float[Array, "step 3"]) -> Float[Array, "step joint"]:
-        """Return the motors that the controller moves, shape (step, joint)."""
+        """Motor positions behind the controller [rad or m], shape (step, joint)."""
         return JobKinematics(self.job).motors(command).positions
 
     def __call__(self, command: Float[Array, "step 3"]) -> Motion:
-        """Return the motion that follows a command, shape (step, 3)."""
+        """Motion that follows a command, shape (step, 3)."""
         return _motion(self.job, self.motors(command), self.wall_share, self.adjoint)
 
     def run(self, command: FloatRows) -> Motion:
-        """Return the motion; with its solution, if the rigid cut is known."""
+        """Motion, with its solution if the rigid cut is known."""
         job, command = self.job, jnp.asarray(command)
         if self.rigid is None:
             return _compiled(job, self.motors(command), self.wall_share)
@@ -81,13 +81,13 @@ class TipPlant(AbstractHostPlant):
         )
 
     def linearised(self, command: FloatRows) -> LinearJob:
-        """Return the linear system around a command."""
-        known, command = JobKinematics(self.job), jnp.asarray(command)
-        joints, _ = known.joints(command)
+        """Linear system around a command."""
+        kinematics, command = JobKinematics(self.job), jnp.asarray(command)
+        joints, _ = kinematics.joints(command)
         return linear_job(
             self.job,
-            known.motor_positions_from_joints(joints),
-            known.motor_slopes(joints, command),
+            kinematics.motor_positions_from_joints(joints),
+            kinematics.motor_slopes(joints, command),
             self.wall_share,
         )
 
@@ -105,7 +105,7 @@ class ScaledPlant(AbstractUncertainPlant):
     plant: TipPlant
 
     def member(self, parameters: Parameters) -> TipPlant:
-        """Return the plant with scaled parameters, see `Job.with_scaled`."""
+        """Plant with scaled parameters, see `Job.with_scaled`."""
         log_scale = jnp.asarray(parameters, self.plant.job.path.positions.dtype)
         job = self.plant.job.with_scaled(log_scale)
         return dataclasses.replace(self.plant, job=job)
@@ -114,8 +114,13 @@ class ScaledPlant(AbstractUncertainPlant):
 class JointPlant(AbstractHostPlant):
     """A job as a plant that is commanded by joint positions [rad or m].
 
-    The controller adds the gravity sag, as it does for tip positions. Attributes as of
-    `TipPlant`.
+    The controller adds the gravity sag, as it does for tip positions.
+
+    Attributes:
+        job: The job.
+        adjoint: How to differentiate through the removal.
+        wall_share: See `TipPlant`.
+        rigid: See `TipPlant`.
     """
 
     job: Job
@@ -128,36 +133,35 @@ class JointPlant(AbstractHostPlant):
         """The plant, piece by piece."""
         return JobPieces(self.job, self.adjoint, self.wall_share, True)
 
+    def motors(self, command: Float[Array, "step joint"]) -> Float[Array, "step joint"]:
+        """Motor positions before the controller [rad or m], shape (step, joint)."""
+        return JobKinematics(self.job).motor_positions_from_joints(command)
+
     def __call__(self, command: Float[Array, "step joint"]) -> Motion:
-        """Return the motion that follows a command, shape (step, joint)."""
-        motors = JobKinematics(self.job).motor_positions_from_joints(command)
-        return _motion(self.job, motors, self.wall_share, self.adjoint)
+        """Motion that follows a command, shape (step, joint)."""
+        return _motion(self.job, self.motors(command), self.wall_share, self.adjoint)
 
     def run(self, command: FloatRows) -> Motion:
-        """Return the motion; with its solution, if the rigid cut is known."""
+        """Motion, with its solution if the rigid cut is known."""
         from ...robot import forward_kinematics
 
         job, command = self.job, jnp.asarray(command)
+        motors = self.motors(command)
         if self.rigid is None:
-            motors = JobKinematics(job).motor_positions_from_joints(command)
             return _compiled(job, motors, self.wall_share)
         # The tips that belong to the joints, for the record.
         T = jnp.asarray(job.T_base_work)
         tips = jax.vmap(lambda q: forward_kinematics(job.robot, q)[:3, 3])(command)  # pyright: ignore[reportArgumentType]
         tips = (tips - T[:3, 3][None]) @ T[:3, :3]
-        motors = JobKinematics(job).motor_positions_from_joints(command)
         return solved_motion(
             Solution.of_command(job, self.rigid, tips, self.adjoint, motors)
         )
 
     def linearised(self, command: FloatRows) -> LinearJob:
-        """Return the linear system around a command."""
-        job, joints = self.job, jnp.asarray(command)
-        motors, slopes = (
-            JobKinematics(job).motor_positions_from_joints(joints),
-            JobKinematics(job).motor_slopes(joints),
-        )
-        return linear_job(job, motors, slopes, self.wall_share)
+        """Linear system around a command."""
+        joints = jnp.asarray(command)
+        slopes = JobKinematics(self.job).motor_slopes(joints)
+        return linear_job(self.job, self.motors(joints), slopes, self.wall_share)
 
 
 def _motion(
@@ -174,14 +178,14 @@ def _motion(
 def _compiled(
     job: Job, motors: Float[Array, "step joint"], wall_share: Steps | None
 ) -> Motion:
-    """Return the motion alone; what a derivative would need is left out."""
+    """Motion alone; all that a derivative would need is left out."""
     return _motion(job, motors, wall_share, FrozenStock())
 
 
 def job_mirror(
     problem: Problem, before: Solution, segment: int | None
 ) -> AbstractMethod:
-    """Return the iterated mirror; on a long path its grid sees the first that cuts.
+    """Iterated mirror; on a long path its grid sees the first segment that cuts.
 
     The grid runs some hundred times, which on the whole path would cost more than the
     optimiser.

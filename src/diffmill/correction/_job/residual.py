@@ -26,7 +26,7 @@ def residual(
     smoothness: RealScalarLike = 1e-2,
     lag_weight: RealScalarLike = 0.03,
 ) -> OffsetResidual:
-    """Return the correction of a job as pure functions, their arguments and a start.
+    """Correction of a job as pure functions, their arguments and a start.
 
         fit = dm.correction.residual(job)
         optimistix.least_squares(fit.residual, solver, fit.start, fit.args)

@@ -86,7 +86,7 @@ class Adam(AbstractMethod):
         on_checkpoint: OnCheckpoint | None = None,
         resume: Arrays | None = None,
     ) -> MethodResult:
-        """Return the best command of all steps, from `start`.
+        """Outcome of the best command of all steps, from `start`.
 
         `on_checkpoint` is called after every step with the state of the descent,
         `resume` is the one from which to go on.

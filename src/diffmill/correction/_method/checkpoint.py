@@ -33,7 +33,14 @@ def pack(state: PyTree) -> dict[str, np.ndarray]:
         state: A tree of arrays, numbers and steps of searches.
     """
     leaves, _ = jax.tree_util.tree_flatten_with_path(state, is_leaf=_is_history)
-    return {_name(path): _array(leaf) for path, leaf in leaves}
+    fields = [field.name for field in dataclasses.fields(LeastSquaresStep)]
+    arrays = {}
+    for path, leaf in leaves:
+        if isinstance(leaf, tuple):
+            rows = [[float(getattr(step, name)) for name in fields] for step in leaf]
+            leaf = np.array(rows, np.float64).reshape(-1, len(fields))
+        arrays[_name(path)] = np.asarray(leaf)
+    return arrays
 
 
 def unpack(arrays: Arrays, like: _State) -> _State:
@@ -68,14 +75,6 @@ def _name(path: tuple[Any, ...]) -> str:
 def _is_history(node: object) -> bool:
     """True for steps of a search, of which there may be any number."""
     return type(node) is tuple and all(isinstance(x, LeastSquaresStep) for x in node)
-
-
-def _array(leaf: Any) -> np.ndarray:
-    if not isinstance(leaf, tuple):
-        return np.asarray(leaf)
-    fields = [field.name for field in dataclasses.fields(LeastSquaresStep)]
-    rows = [[float(getattr(step, name)) for name in fields] for step in leaf]
-    return np.array(rows, np.float64).reshape(-1, len(fields))
 
 
 def _leaf(array: np.ndarray, like: Any) -> Any:

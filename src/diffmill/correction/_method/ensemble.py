@@ -29,7 +29,7 @@ class AbstractUncertainPlant(eqx.Module):
 
     @abc.abstractmethod
     def member(self, parameters: Parameters) -> Plant:
-        """Return the plant with given parameters, shape (parameter,)."""
+        """Plant with given parameters, shape (parameter,)."""
 
 
 class Ensemble(eqx.Module):
@@ -48,7 +48,7 @@ class Ensemble(eqx.Module):
     weights: Float[np.ndarray, " member"] | None = None
 
     def plants(self) -> tuple[Plant, ...]:
-        """Return the plants of all members."""
+        """Plants of all members."""
         return tuple(member_of(self.plant, np.asarray(draw)) for draw in self.draws)
 
     @staticmethod
@@ -62,7 +62,7 @@ class Ensemble(eqx.Module):
         force: RealScalarLike = 0.0,
         is_gaussian: bool = False,
     ) -> Float[np.ndarray, "member parameter"]:
-        """Return draws of the logarithms of the parameters' factors.
+        """Draws of the logarithms of the parameters' factors.
 
         Args:
             names: `Job.parameter_names`.
@@ -104,14 +104,14 @@ class _Member(eqx.Module):
     parameters: Parameters
 
     def __call__(self, command: Float[Array, "step axis"]) -> Motion:
-        """Return the motion that follows a command, shape (step, axis)."""
+        """Motion that follows a command, shape (step, axis)."""
         return self.plant(jnp.asarray(self.parameters, command.dtype), command)
 
 
 def member_of(
     plant: AbstractUncertainPlant | Callable[..., Motion], parameters: Parameters
 ) -> Plant:
-    """Return an uncertain plant with given parameters, shape (parameter,)."""
+    """Uncertain plant with given parameters, shape (parameter,)."""
     if isinstance(plant, AbstractUncertainPlant):
         return plant.member(parameters)
     return _Member(plant, parameters)
@@ -134,7 +134,7 @@ class DelayedPlant(AbstractUncertainPlant):
     time_step: RealScalarLike
 
     def member(self, parameters: Parameters) -> "Delayed":
-        """Return the plant of one member, whose last parameter is its delay [s]."""
+        """Plant of one member, whose last parameter is its delay [s]."""
         plant = member_of(self.plant, parameters[:-1])
         return Delayed(plant, parameters[-1], self.nominal, self.time_step)
 
@@ -142,7 +142,7 @@ class DelayedPlant(AbstractUncertainPlant):
     def with_delays(
         draws: Draws, *, largest: RealScalarLike, seed: int
     ) -> Float[np.ndarray, "member parameter_and_delay"]:
-        """Return draws with a last column of delays, each in its own share of the span.
+        """Draws with a last column of delays, each in its own share of the span.
 
         A few draws from the whole span could all lie at one end of it; so each member
         gets one of as many equal parts of the span, in an order of its own.
@@ -188,20 +188,20 @@ class Delayed(AbstractHostPlant):
     time_step: RealScalarLike
 
     def late(self, command: Float[Array, "step axis"]) -> Float[Array, "step axis"]:
-        """Return the command as it comes."""
+        """Command that the plant gets, shape (step, axis)."""
         delay = jnp.asarray(self.delay, command.dtype)
         return delayed(command, delay, self.time_step, nominal=self.nominal)
 
     def __call__(self, command: Float[Array, "step axis"]) -> Motion:
-        """Return the motion that follows a command, shape (step, axis)."""
+        """Motion that follows a command, shape (step, axis)."""
         return self.plant(self.late(command))
 
     def run(self, command: FloatRows) -> Motion:
-        """Return the same motion; not traceable."""
+        """Motion that follows a command, by compiled programs; not traceable."""
         return motion_of(self.plant, _late(self, jnp.asarray(command)))
 
     def linearised(self, command: FloatRows) -> LinearMotion:
-        """Return the linear system around a command."""
+        """Linear system around a command."""
         late = _late(self, jnp.asarray(command))
         inner = linear_motion(self.plant, late)
         return DelayedMotion(inner.motion, inner, self, jnp.asarray(command))
@@ -223,7 +223,7 @@ class DelayedMotion(LinearMotion):
     command: Float[Array, "step axis"]
 
     def move(self, changes: Float[Array, "step axis direction"]) -> Motion:
-        """Return the changes of the motion, each direction a row of the first axis."""
+        """Changes of the motion, each direction a row of the first axis."""
         _, push = jax.linearize(self.late.late, self.command)
         return self.inner.move(jax.vmap(push, in_axes=-1, out_axes=-1)(changes))
 

@@ -82,7 +82,7 @@ class GaussNewton(AbstractMethod):
         on_checkpoint: OnCheckpoint | None = None,
         resume: Arrays | None = None,
     ) -> MethodResult:
-        """Return the best command within knots and bounds, from `start`.
+        """Outcome of the best command within knots and bounds, from `start`.
 
         `on_checkpoint` is called after every step with the state of the search,
         `resume` is the one from which to go on.
@@ -116,7 +116,10 @@ class GaussNewton(AbstractMethod):
 
         def report(state: LeastSquaresState) -> bool:
             if on_checkpoint is not None:
-                on_checkpoint(pack(_without_motion(state)))
+                value = state.value
+                # A run gives the motion again.
+                value = FitValue(value.errors, value.rough, value.outputs)
+                on_checkpoint(pack(dataclasses.replace(state, value=value)))
             if on_progress is None or not state.history:
                 return False
             message = f"Gauss-Newton step {len(state.history)}"
@@ -153,14 +156,13 @@ class GaussNewton(AbstractMethod):
         )
 
     def begin(self, problem: Problem, start: FloatRows) -> FloatRows:
-        """Return the command at which the iteration begins, within knots and limits.
+        """Command at which the iteration begins, within knots and limits.
+
+        The closest to `start` that the method may return, shape (step, axis).
 
         Args:
             problem: The problem.
             start: Any command, shape (step, axis).
-
-        Returns:
-            The closest one that the method may return.
 
         **Differentiability**: none, a host function.
         """
@@ -173,7 +175,7 @@ class GaussNewton(AbstractMethod):
     def all_limits(
         self, spline: SplineOffsets, nominal: FloatRows
     ) -> tuple[LinearLimits, ...]:
-        """Return the limits of the command and those given."""
+        """Limits of the coefficients: those given, and those of the whole command."""
         return self.limits + LinearLimits.of_command(
             spline,
             nominal,
@@ -199,12 +201,6 @@ class GaussNewton(AbstractMethod):
             detail["draw_rms_least"] = float(rms.min())
             detail["draw_rms_largest"] = float(rms.max())
         return detail
-
-
-def _without_motion(state: LeastSquaresState) -> LeastSquaresState:
-    """State without what a run of its point gives again."""
-    value = FitValue(state.value.errors, state.value.rough, state.value.outputs)
-    return dataclasses.replace(state, value=value)
 
 
 def check_bounds(

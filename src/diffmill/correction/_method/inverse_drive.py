@@ -59,7 +59,7 @@ def inverse_drive(
     T_base_work: Transform | None = None,
     is_gravity_compensated: bool = True,
 ) -> InverseDriveCommand:
-    """Return the motor motion with which the tool follows the desired path.
+    """Motor motion with which the tool follows the desired path.
 
     Args:
         robot: The robot with its tool, joint stiffness and damping.
@@ -104,7 +104,7 @@ def _drive_deflection(
     tau: Float[Array, "step joint"],
     time_step: RealScalarLike,
 ) -> Float[Array, "step joint"]:
-    """Return command - q of every joint: gear, gap, motor and servo in series."""
+    """Command - q of every joint [rad]: gear, gap, motor and servo in series."""
     if robot.friction is not None:
         tau = tau + jax.vmap(robot.friction_torque)(velocities)
     K, D = jnp.asarray(robot.joint_stiffness), jnp.asarray(robot.joint_damping)
@@ -123,7 +123,7 @@ def _drive_deflection(
 def _velocities(
     positions: Float[Array, "step joint"], time_step: RealScalarLike
 ) -> Float[Array, "step joint"]:
-    """Return central differences; before the first and after the last row at rest."""
+    """Central differences [rad/s]; before the first and after the last row at rest."""
     T = jnp.asarray(time_step, positions.dtype)
     padded = jnp.pad(positions, ((1, 1), (0, 0)), mode="edge")
     return (padded[2:] - padded[:-2]) / (2 * T)
@@ -132,14 +132,14 @@ def _velocities(
 def _accelerations(
     positions: Float[Array, "step joint"], time_step: RealScalarLike
 ) -> Float[Array, "step joint"]:
-    """Return second differences; before the first and after the last row at rest."""
+    """Second differences [rad/s^2]; before the first and after the last row at rest."""
     T = jnp.asarray(time_step, positions.dtype)
     padded = jnp.pad(positions, ((1, 1), (0, 0)), mode="edge")
     return (padded[2:] - 2 * padded[1:-1] + padded[:-2]) / T**2
 
 
 def _at_instants(means: Float[Array, "step axis"]) -> Float[Array, "step axis"]:
-    """Return values at the instants t_k from means over the steps between them.
+    """Values at the instants t_k from means over the steps, shape (step, axis).
 
         x(t_k) = (m_k + m_(k+1)) / 2
 

@@ -40,7 +40,7 @@ class Mirror(AbstractMethod):
         start: FloatRows | None = None,
         on_progress: OnProgress | None = None,
     ) -> MethodResult:
-        """Return start - (actual - desired), clipped; tip commands only."""
+        """Outcome of start - (actual - desired), clipped; tip commands only."""
         command = _start(problem, start)
         motion = self.before if start is None else None
         if motion is None:
@@ -87,7 +87,7 @@ class IteratedMirror(AbstractMethod):
         start: FloatRows | None = None,
         on_progress: OnProgress | None = None,
     ) -> MethodResult:
-        """Return the best iterate of the grid; tip commands only."""
+        """Outcome of the best iterate of the grid; tip commands only."""
         command = _start(problem, start)
         motion = self.before if start is None else None
         if motion is None:
@@ -142,7 +142,7 @@ class SampledMirror(AbstractMethod):
         start: FloatRows | None = None,
         on_progress: OnProgress | None = None,
     ) -> MethodResult:
-        """Return the best iterate of one branch; tip commands only."""
+        """Outcome of the best iterate of one branch; tip commands only."""
         rows = self.sample.nominal.shape[0]
         part = None if start is None else start[:rows]
         sampled = self.mirror(self.sample, start=part, on_progress=on_progress)

@@ -67,7 +67,7 @@ class PlacementTask(eqx.Module):
 def placement_residual(
     unit: Float[Array, " 5"], task: PlacementTask
 ) -> Float[Array, " entry"]:
-    """Return the weighted errors across the path, then the joints in their ranges.
+    """Weighted errors across the path, then the joints in their ranges.
 
     The latter are -1 at the lower and 1 at the upper limit. Infinite where a pose is
     not reached, or is nearly singular.
@@ -101,7 +101,7 @@ def moved_work(
     center: Float[Array, " 3"],
     values: Float[Array, " 5"],
 ) -> Float[Array, "4 4"]:
-    """Return a place turned about z of the base through a point, then shifted."""
+    """Place turned about z of the base through a point, then shifted."""
     turn = _about_z(values[3])
     position = center + turn[:3, :3] @ (T_base_work[:3, 3] - center) + values[:3]
     return (turn @ T_base_work).at[:3, 3].set(position)
@@ -110,7 +110,7 @@ def moved_work(
 def turned_tool(
     T_flange_tool: Float[Array, "4 4"], rotation: Float[Array, ""]
 ) -> Float[Array, "4 4"]:
-    """Return the tool in the flange with which the flange turns about the tool axis.
+    """Tool in the flange with which the flange turns about the tool axis.
 
     The tool's pose is the path's, so the flange turns the other way round.
     """
@@ -120,7 +120,7 @@ def turned_tool(
 def tip_deflection(
     robot: Robot, q: Float[Array, " joint"], force: Float[Array, " 3"]
 ) -> Float[Array, " 3"]:
-    """Return the deflection of the tip under a force, both in the base.
+    """Deflection of the tip under a force, both in the base.
 
     To first order in the stretch of the drives; servos and virtual joints deflect
     too, gaps from where gravity holds them.
@@ -143,7 +143,7 @@ def across(
 def path_tangents(
     positions: Float[np.ndarray, "step 3"],
 ) -> Float[np.ndarray, "step 3"]:
-    """Return unit tangents of a path, 0 where it dwells."""
+    """Unit tangents of a path, 0 where it dwells."""
     slope = np.gradient(positions, axis=0)
     length = np.linalg.norm(slope, axis=1, keepdims=True)
     return slope / np.where(length > 0, length, 1.0)
@@ -178,7 +178,7 @@ def whole_path(job: Job, force: Float[Array, "step 3"]) -> LoadedPath:
 def least_singular_of(
     robot: Robot, qs: Float[Array, "row joint"], tool_rotation: ToolRotation
 ) -> float:
-    """Return the smallest singular value over poses, lengths in the arm's unit."""
+    """Smallest singular value over poses, lengths in the arm's unit."""
     return float(jnp.min(_smallest(robot, qs, tool_rotation)))
 
 
@@ -190,7 +190,7 @@ def _smallest(
 
 
 def _about_z(angle: Float[Array, ""]) -> Float[Array, "4 4"]:
-    """Return a rotation about z as a homogeneous matrix."""
+    """Rotation about z as a homogeneous matrix."""
     c, s = jnp.cos(angle), jnp.sin(angle)
     turn = jnp.stack([jnp.stack([c, -s]), jnp.stack([s, c])])
     return jnp.eye(4, dtype=turn.dtype).at[:2, :2].set(turn)

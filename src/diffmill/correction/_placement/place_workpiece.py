@@ -142,7 +142,7 @@ def _bounds(
     angle: Sequence[float],
     rotation: Sequence[float],
 ) -> tuple[Float[np.ndarray, " 5"], Float[np.ndarray, " 5"]]:
-    """Return lower and upper bounds of all unknowns."""
+    """Lower and upper bounds of all unknowns."""
     if job.robot is None:
         raise ValueError("Argument `job` must have a robot, but its machine is rigid.")
     pairs = np.array([*shift, angle, rotation], np.float64)
@@ -176,7 +176,7 @@ def _task(
     upper: Float[np.ndarray, " 5"],
     rows: int,
 ) -> PlacementTask:
-    """Return the task, its errors in units of that at the job's own place."""
+    """Task, its errors in units of that at the job's own place."""
     robot = job.robot
     assert robot is not None
     dtype = robot.dtype
@@ -221,7 +221,7 @@ def _task(
 def _widths(
     lower: Float[np.ndarray, " 5"], upper: Float[np.ndarray, " 5"]
 ) -> Float[np.ndarray, " 5"]:
-    """Return the units in which the unknowns are of the order of 1."""
+    """Units in which the unknowns are of the order of 1."""
     widths = np.maximum(np.abs(lower), np.abs(upper))
     return np.where(widths > 0, widths, 1.0)
 
@@ -274,7 +274,7 @@ class _Problem(AbstractProblem):
     def evaluate(
         self, x: Float[np.ndarray, " 5"]
     ) -> Float[np.ndarray, " entry"] | None:
-        """Return the residual; None where the place is refused."""
+        """Residual; None where the place is refused."""
         unit = jnp.asarray(x, self.task.widths.dtype)
         entries = np.asarray(_residual(unit, self.task), np.float64)
         return entries if np.all(np.isfinite(entries)) else None
@@ -282,7 +282,7 @@ class _Problem(AbstractProblem):
     def model(
         self, x: Float[np.ndarray, " 5"], value: Float[np.ndarray, " entry"]
     ) -> QuadraticModel:
-        """Return the model of half the square of the errors."""
+        """Model of half the square of the errors."""
         unit = jnp.asarray(x, self.task.widths.dtype)
         J = np.asarray(_slopes(unit, self.task), np.float64)
         error, ranges = self.parts(value)
@@ -302,12 +302,12 @@ class _Problem(AbstractProblem):
     def parts(
         self, entries: Float[np.ndarray, "..."]
     ) -> tuple[Float[np.ndarray, "..."], Float[np.ndarray, "..."]]:
-        """Return the errors and the joints in their ranges among the entries."""
+        """Errors and the joints in their ranges among the entries."""
         count = 3 * self.task.Ts_work_tool.shape[0]
         return entries[:count], entries[count:]
 
     def error(self, x: Float[np.ndarray, " 5"]) -> float:
-        """Return half the square of the errors; infinite where a place is refused."""
+        """Half the square of the errors; infinite where a place is refused."""
         entries = self.evaluate(x)
         if entries is None or np.any(np.abs(self.parts(entries)[1]) > _RANGE):
             return np.inf
@@ -346,7 +346,7 @@ def _descend(
 
 
 def _place(job: Job, task: PlacementTask, values: Float[np.ndarray, " 5"]) -> Placement:
-    """Return a place whose errors are not known yet."""
+    """Place whose errors are not known yet."""
     all_values = jnp.asarray(values, task.widths.dtype)
     robot = task.robot
     turned = turned_tool(robot.T_flange_tool, all_values[4])

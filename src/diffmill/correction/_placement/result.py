@@ -47,14 +47,14 @@ class Placement(eqx.Module):
 
     @property
     def toml(self) -> str:
-        """Return the lines of `[robot]` that bring a job here."""
+        """Lines of `[robot]` that bring a job here."""
         lines = [f"work_in_base = {_pose_text(self.T_base_work)}"]
         if self.rotation:
             lines.append(f"tool_in_flange = {_pose_text(self.T_flange_tool)}")
         return "\n".join(lines)
 
     def moved(self, job: Job) -> Job:
-        """Return a job with its workpiece here and its tool turned so.
+        """Job with its workpiece here and its tool turned so.
 
         Raises:
             ValueError: The job has no robot.
@@ -71,7 +71,7 @@ class Placement(eqx.Module):
 
 
 def rms_across(job: Job, force: Float[Array, "step 3"]) -> float:
-    """Return the error over the whole path; infinite where it cannot be followed."""
+    """Rms error over the whole path [m]; infinite where the arm cannot follow it."""
     robot = job.robot
     assert robot is not None
     path = whole_path(job, force)
@@ -92,7 +92,7 @@ def rms_across(job: Job, force: Float[Array, "step 3"]) -> float:
 
 
 def _pose_text(T: Float[np.ndarray, "4 4"]) -> str:
-    """Return a pose as a job file has it, to a nanometre and 1e-9 degrees."""
+    """Pose as a job file has it, to a nanometre and 1e-9 degrees."""
     from scipy.spatial.transform import Rotation
 
     # Adding 0 makes a rounded -0 a plain 0.

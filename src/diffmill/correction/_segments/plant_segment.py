@@ -28,7 +28,7 @@ class AbstractPiece(eqx.Module):
         """
 
     def linearised(self, command: FloatRows) -> LinearMotion | None:
-        """Return the linear system around a command; None where it is not known."""
+        """Linear system around a command; None where it is not known."""
         return None
 
 
@@ -45,7 +45,7 @@ class AbstractPieces(eqx.Module):
 
     @abc.abstractmethod
     def begin(self, command: Float[Array, "row axis"]) -> PyTree:
-        """Return the state at row 0.
+        """State at row 0.
 
         Args:
             command: The command at the first three rows and at those ahead of them,
@@ -54,7 +54,7 @@ class AbstractPieces(eqx.Module):
 
     @abc.abstractmethod
     def piece(self, state: PyTree, rows: Int[np.ndarray, " row"]) -> AbstractPiece:
-        """Return the piece that starts from a state.
+        """Piece that starts from a state.
 
         Args:
             state: State at the first of the rows.

@@ -111,10 +111,10 @@ class RecedingHorizon(AbstractMethod):
         on_checkpoint: OnCheckpoint | None = None,
         resume: Arrays | None = None,
     ) -> MethodResult:
-        """Return the best command within knots and bounds, from `start`.
+        """Outcome of the best command within knots and bounds, from `start`.
 
-        `on_progress` is called after every segment, with the rms contour error of
-        what has been run; where it ends the method, the rest stays as in `start`.
+        `on_progress` is called after every segment, with the rms contour error of the
+        rows run so far; where it ends the method, later rows stay as in `start`.
         `on_checkpoint` is called then with the state, `resume` is the one from which
         to go on.
 

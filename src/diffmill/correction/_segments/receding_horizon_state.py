@@ -117,11 +117,11 @@ class _Rows(eqx.Module):
     piece: AbstractPiece
 
     def __call__(self, command: Float[Array, "step axis"]) -> Motion:
-        """Return the motion that follows a command, shape (step, axis)."""
+        """Motion that follows a command, shape (step, axis)."""
         return self.piece.run(command)[0]
 
     def linearised(self, command: FloatRows) -> LinearMotion | None:
-        """Return the linear system around a command, if the piece knows it."""
+        """Linear system around a command, if the piece knows it."""
         return self.piece.linearised(command)
 
 
