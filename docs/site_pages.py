@@ -296,7 +296,7 @@ def keys(table: ast.ClassDef) -> list[ast.AnnAssign]:
 
 
 def place(table: ast.ClassDef) -> tuple[int, bool]:
-    """Return what sorts tables: as `TABLES` does, parts of one behind it, others last."""
+    """Sort key of a table: the order of `TABLES`, parts behind it, others last."""
     heading = (ast.get_docstring(table) or "").split("\n")[0]
     found = re.search(r"\[+(\w+)", heading)
     name = found[1] if found else ""
