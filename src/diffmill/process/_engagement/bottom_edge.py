@@ -14,7 +14,6 @@ passed. The material above the end is looked up column by column.
 """
 
 import math
-from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -221,27 +220,21 @@ def _by_annulus(outward: RadialDirection) -> RadialDirection:
     return jax.tree.map(lambda x: x[..., None], outward)
 
 
-class _EarlierEnd(NamedTuple):
-    """Height of an earlier end above annuli [m], and the parts that it covered."""
-
-    height: Float[Array, "*place annulus"]
-    is_under: Bool[Array, "*place annulus"]
-
-
 def _earlier_end(
     cutter: AbstractCutter,
     radius: Float[Array, "*#place annulus"],
     outward: RadialDirection,
     tip: Float[Array, "*#tip 3"],
     old: Float[Array, "*#tip 3"],
-) -> _EarlierEnd:
+) -> tuple[Float[Array, "*place annulus"], Bool[Array, "*place annulus"]]:
+    """Height of an earlier end above annuli [m], and the parts that it covered."""
     moved = tip - old
     across = (radius * outward.sin + moved[..., 0]) ** 2
     across = across + (radius * outward.cos + moved[..., 1]) ** 2
     dish = jnp.tan(jnp.asarray(cutter.dish_angle, radius.dtype))
     inward = radius - jnp.sqrt(across + _LEAST_LAYER**2)
     is_under = across < _radius(cutter, radius.dtype) ** 2
-    return _EarlierEnd(inward * dish - moved[..., 2], is_under)
+    return inward * dish - moved[..., 2], is_under
 
 
 def _since_corner(

@@ -435,28 +435,22 @@ def _walk(
     return h
 
 
-class _Below(NamedTuple):
-    """Depth of points below an earlier end [m], and flags of those under it."""
-
-    depth: Float[Array, "angle kept element"]
-    is_under: Bool[Array, "angle kept element"]
-
-
 def _descent(
     cutter: AbstractCutter,
     points: Float[Array, "angle kept element 3"],
     old: Pose,
-) -> _Below:
+) -> tuple[Float[Array, "angle kept element"], Bool[Array, "angle kept element"]]:
+    """Depth of points below an earlier end [m], and flags of those under it."""
     axis = old.direction()
     away = points - old.tip
     up = jnp.sum(away * axis, axis=-1)
     across = jnp.sum(away**2, axis=-1) - up**2
     flat = cutter.nominal_radius - cutter.nominal_corner_radius
-    return _Below(-up, jax.lax.stop_gradient(across) < flat**2)
+    return -up, jax.lax.stop_gradient(across) < flat**2
 
 
 def _newest(earlier: Pose) -> Float[Array, " 3"]:
-    """Return the tip one tooth period ago, which of uneven teeth is their mean."""
+    """Tip one tooth period ago, for uneven teeth the mean of theirs."""
     tip = earlier.tip[0]
     if tip.ndim == 1:
         return tip
@@ -465,7 +459,7 @@ def _newest(earlier: Pose) -> Float[Array, " 3"]:
 
 
 def _of_samples(passed: Pose, tooth: Int[Array, "angle kept element"]) -> Pose:
-    """Return the poses when the tooth before that of each sample passed.
+    """Poses when the tooth before that of each sample passed.
 
     The result broadcasts against (angle, kept, element, 3).
     """
@@ -500,7 +494,7 @@ def _angles(
     index: Int[Array, ""],
     part: Substeps | None,
 ) -> Float[Array, "substep angle tooth element"]:
-    """Return the immersion angles of all elements of a period [rad]."""
+    """Immersion angles phi of all elements of a period [rad]."""
     cutter, dtype = process.cutter, elements.lag.dtype
     # Teeth differ: every period the turn goes on where the one before ended.
     done = jnp.mod(index - 1, cutter.flute_count).astype(dtype)

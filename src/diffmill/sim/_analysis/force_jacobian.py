@@ -1,7 +1,5 @@
 """Derivatives of the force of the teeth with respect to present and earlier tips."""
 
-from typing import NamedTuple
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -43,7 +41,7 @@ def force_slopes(
     padded = jax.tree.map(
         lambda x: jnp.concatenate([2 * x[:1] - x[1:2], x, 2 * x[-1:] - x[-2:-1]]), path
     )
-    carry, first, found = _begin(process, path), jnp.ones((), jnp.int32), {}
+    carry, first, slopes = _begin(process, path), jnp.ones((), jnp.int32), {}
     cutter, count = process.cutter, process.repeats_after
     # A path shorter than a turn stands for the rest by its first period.
     turns = np.maximum(rows[:, None] + np.arange(1 - count, 1), 1)
@@ -52,12 +50,12 @@ def force_slopes(
         delays = np.asarray(cutter.delays(np.float64)).reshape(-1)
     for row in np.unique(turns):
         last = jnp.asarray(row, jnp.int32)
-        carry, slopes = _replay(process, carry, padded, first, last)
-        now, before = (np.asarray(x, np.float64) for x in slopes)
+        carry, found = _replay(process, carry, padded, first, last)
+        now, before = (np.asarray(x, np.float64) for x in found)
         before = before.reshape(len(now), -1, 3, 3)
-        found[row] = Regeneration(now, before, delays)
+        slopes[row] = Regeneration(now, before, delays)
         first = last + 1
-    return [[found[row] for row in turn] for turn in turns]
+    return [[slopes[row] for row in turn] for turn in turns]
 
 
 class _Replayed(eqx.Module):
@@ -66,13 +64,6 @@ class _Replayed(eqx.Module):
     state: ProcessState
     middles: Pose
     ends: Pose
-
-
-class _Slopes(NamedTuple):
-    """Slopes of the force in the sub-steps of a period [N/m], see `Regeneration`."""
-
-    now: Float[Array, "substep 3 3"]
-    before: Float[Array, "substep *before 3 3"]
 
 
 @eqx.filter_jit
@@ -90,8 +81,8 @@ def _replay(
     padded: Pose,
     first: Int[Array, ""],
     last: Int[Array, ""],
-) -> tuple[_Replayed, _Slopes]:
-    """Return the process in the last period, and the slopes there.
+) -> tuple[_Replayed, tuple[Array, Array]]:
+    """Process in the last period, and the slopes there, of `_slopes`.
 
     It begins with the period before the first.
     """
@@ -111,8 +102,10 @@ def _replay(
     return at, _slopes(process, cut, at.middles, at.state.recent)
 
 
-def _slopes(process: Process, cut: Engagement, middles: Pose, recent: Pose) -> _Slopes:
-    """Return the slopes of all sub-steps of one period."""
+def _slopes(
+    process: Process, cut: Engagement, middles: Pose, recent: Pose
+) -> tuple[Float[Array, "substep 3 3"], Float[Array, "substep *before 3 3"]]:
+    """Slopes of the force in the sub-steps of a period [N/m], as of `Regeneration`."""
 
     def slopes(
         samples: EdgeSamples, pose: Pose, earlier: Pose
@@ -132,4 +125,4 @@ def _slopes(process: Process, cut: Engagement, middles: Pose, recent: Pose) -> _
 
     earlier = process.earlier(recent, middles)
     now, before = jax.vmap(slopes)(cut.samples, middles, earlier)
-    return _Slopes(now, jnp.moveaxis(before, 1, -2))
+    return now, jnp.moveaxis(before, 1, -2)

@@ -25,14 +25,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Float, Int, PyTree, Shaped
+from jaxtyping import Array, Float, Int, Shaped
 
 from ..._padding import if_valid, live_rows, scan_rows
 from ..._types import IntScalar
 from ...process import AbstractEngagement, Process
 from .._machine.compliant import AbstractCompliant
 from .._machine.machine import (
-    Period,
     PeriodRow,
     RunState,
     all_ends,
@@ -311,20 +310,6 @@ class LinearRun(eqx.Module):
         return numbers * size + pointers * jnp.dtype(jnp.int32).itemsize
 
 
-class _PeriodJacobians(NamedTuple):
-    """Outputs, loads and force of a period, for its linear system.
-
-    Attributes:
-        out: What the run gives out.
-        arm: What the arm did.
-        force: What the slopes of the force follow from (`PeriodForce`), then these.
-    """
-
-    out: Period
-    arm: LoadedPeriod
-    force: PyTree
-
-
 def linearise(
     machine: AbstractCompliant,
     process: Process,
@@ -378,19 +363,19 @@ def linearise(
             cut = engagement_with_slopes(process, near, row, predicted)
         force = period_force(process, near, cut, middles)
         arm = LoadedPeriod(state.machine, row.command, substeps.loads)
-        return ended, _PeriodJacobians(out, arm, force)
+        return ended, (out, arm, force)
 
     def batch(state: RunState, rows: PeriodRow, _: Any):
-        ended, around = jax.lax.scan(period, state, rows)
+        ended, (out, arm, force) = jax.lax.scan(period, state, rows)
         of = lambda x: force_slopes(model, x, process.engagement.samples_whole_period)
         # `if_valid` asks for its shapes first: under `jit` it is traced once.
         batch_of = jax.jit(jax.vmap(of))
         # Where nothing acts on the tool, moving it changes no force: in the air, which
         # is much of most programs.
-        is_loaded = jnp.any(around.arm.loads != 0)
-        found = if_valid(is_loaded, lambda: batch_of(around.force))
-        slopes = eqx.tree_at(lambda x: x.circles, found, around.force.circles)
-        return ended, around._replace(force=slopes)
+        is_loaded = jnp.any(arm.loads != 0)
+        slopes = if_valid(is_loaded, lambda: batch_of(force))
+        slopes = eqx.tree_at(lambda x: x.circles, slopes, force.circles)
+        return ended, (out, arm, slopes)
 
     rows = machine.rows(process, motors, row_count)
     index = first + jnp.arange(steps - 1, dtype=jnp.int32)
@@ -398,7 +383,9 @@ def linearise(
     batches = jax.tree.map(_in_batches, PeriodRow(index, rows, is_live))
     is_run = None if is_live is None else batches.is_live[:, 0]
     _, around = scan_rows(batch, started, batches, is_run, together=_TOGETHER)
-    around = jax.tree.map(lambda x: jax.lax.collapse(x, 0, 2)[: steps - 1], around)
+    out, loaded, forces = jax.tree.map(
+        lambda x: jax.lax.collapse(x, 0, 2)[: steps - 1], around
+    )
 
     def slopes(
         _: None, period: LoadedPeriod, is_live: Array | None
@@ -407,9 +394,9 @@ def linearise(
         # long.
         return None, arm_slopes(model, period)
 
-    _, arms = scan_rows(slopes, None, around.arm, is_live)
+    _, arms = scan_rows(slopes, None, loaded, is_live)
     solve = functools.partial(_solved, process, motors.shape[1])
-    loads, arm, pose = jax.vmap(solve)(around.force, arms)
+    loads, arm, pose = jax.vmap(solve)(forces, arms)
 
     def begun(head: Float[Array, "row joint"], parameters: Array) -> Array:
         machine, process = model.scaled(parameters)
@@ -419,12 +406,12 @@ def linearise(
     head, by_parameters = jax.jacfwd(begun, argnums=(0, 1))(*at)
     head = jnp.concatenate([head.reshape(head.shape[0], -1), by_parameters], axis=1)
     return LinearRun(
-        ends=all_ends(around.out),
-        force=prepend_zeros(around.out.force),
+        ends=all_ends(out),
+        force=prepend_zeros(out.force),
         loads=loads,
         arm=arm,
         pose=pose,
-        circles=jnp.maximum(around.force.circles - (first - 1), -1),
+        circles=jnp.maximum(forces.circles - (first - 1), -1),
         begin=head if state is None else jnp.zeros_like(head),
         periods=process.cutter.flute_count,
         substeps=process.engagement.substeps,
