@@ -25,7 +25,9 @@ of either, and servos what they do at the instant before; cycles count from the 
 the path. So a path can be gone through piece by piece, by `begin` and `follow`.
 """
 
+import dataclasses
 import math
+from collections.abc import Callable, Sequence
 from typing import Literal, NamedTuple, TypeAlias
 
 import equinox as eqx
@@ -44,11 +46,45 @@ EachJoint: TypeAlias = (
     Float[Array, " joint"] | Float[np.ndarray, " joint"] | RealScalarLike
 )
 Interpolation: TypeAlias = Literal["hold", "linear", "spline"]
-# Mean delay of each interpolation [cycles]: a drive that goes from one point to the
-# next has to know the next, and a spline one more.
-_DELAY_CYCLES = {"hold": 0.5, "linear": 1.0, "spline": 2.0}
-# Cycles back to the first set point that an instant may need.
-_MEMORY_CYCLES = {"hold": 1.0, "linear": 2.0, "spline": 4.0}
+
+
+@dataclasses.dataclass(frozen=True)
+class _InterpolationRule:
+    """Path of a drive between its set points.
+
+    Attributes:
+        delay: Mean delay [cycles]: a drive that goes from one point to the next has to
+            know the next, and a spline one more.
+        point_count: Number of the last set points that an instant needs.
+        weights: Weights of these points, the oldest first, by the share s of a cycle
+            that has passed since the last one.
+    """
+
+    delay: float
+    point_count: int
+    weights: Callable[[Array], Sequence[Array]]
+
+    @property
+    def is_staircase(self) -> bool:
+        """True if the path jumps at its set points."""
+        return self.point_count == 1
+
+
+_INTERPOLATIONS = {
+    "hold": _InterpolationRule(0.5, 1, lambda s: (jnp.ones_like(s),)),
+    "linear": _InterpolationRule(1.0, 2, lambda s: (1 - s, s)),
+    # Catmull and Rom's cubic between the second and third of four points.
+    "spline": _InterpolationRule(
+        2.0,
+        4,
+        lambda s: (
+            -0.5 * s + s**2 - 0.5 * s**3,
+            1 - 2.5 * s**2 + 1.5 * s**3,
+            0.5 * s + 2 * s**2 - 1.5 * s**3,
+            -0.5 * s**2 + 0.5 * s**3,
+        ),
+    ),
+}
 # Parameters above zero, as one number or as one for each joint.
 _POSITIVE_NUMBERS = (
     *("moving_average", "shaper_frequency", "interpolation_cycle", "low_pass"),
@@ -155,10 +191,10 @@ class Controller(eqx.Module):
     damping_ratio: EachJoint | None = None
 
     def __check_init__(self):
-        if self.interpolation not in _DELAY_CYCLES:
+        if self.interpolation not in _INTERPOLATIONS:
             raise ValueError(
                 "Argument `interpolation` must be one of "
-                f"{', '.join(_DELAY_CYCLES)}, but is {self.interpolation!r}."
+                f"{', '.join(_INTERPOLATIONS)}, but is {self.interpolation!r}."
             )
         if self.damping_ratio is not None and self.bandwidth is None:
             raise ValueError(
@@ -196,7 +232,7 @@ class Controller(eqx.Module):
         if self.shaper_frequency is not None:
             late = late + self._shaper()[1] / (2 * number(self.shaper_frequency))
         if self.interpolation_cycle is not None:
-            cycles = _DELAY_CYCLES[self.interpolation]
+            cycles = _INTERPOLATIONS[self.interpolation].delay
             late = late + cycles * number(self.interpolation_cycle)
         if self.dead_time is not None:
             late = late + number(self.dead_time)
@@ -234,7 +270,7 @@ class Controller(eqx.Module):
             latest -= float(self.dead_time)
         earliest = latest
         if self.interpolation_cycle is not None:
-            cycles = _MEMORY_CYCLES[self.interpolation]
+            cycles = _INTERPOLATIONS[self.interpolation].point_count
             earliest -= cycles * float(self.interpolation_cycle)
         if self.moving_average is not None:
             earliest -= float(self.moving_average)
@@ -376,8 +412,8 @@ class Controller(eqx.Module):
             row: Index of the first.
             count: Number of rows.
         """
-        is_staircase = self.interpolation == "hold" and (
-            self.interpolation_cycle is not None
+        is_staircase = self.interpolation_cycle is not None and (
+            _INTERPOLATIONS[self.interpolation].is_staircase
         )
         parts = _STAIRCASE_PARTS if self._has_lags and is_staircase else 1
         index = jnp.arange((count - 1) * parts + 1, dtype=jnp.int32)
@@ -438,20 +474,14 @@ class Controller(eqx.Module):
             return self._filtered(signal, at), None
         cycle = rows(self.interpolation_cycle)
         s = at.shares_of_turns(1 / cycle)
-        point = lambda back: self._filtered(signal, at.earlier((s + back) * cycle))
-        if self.interpolation == "hold":
-            return point(0), s
-        if self.interpolation == "linear":
-            return shared(1 - s, point(1)) + shared(s, point(0)), s
-        # Catmull and Rom's cubic between the second and third of four points.
-        weights = (
-            -0.5 * s + s**2 - 0.5 * s**3,
-            1 - 2.5 * s**2 + 1.5 * s**3,
-            0.5 * s + 2 * s**2 - 1.5 * s**3,
-            -0.5 * s**2 + 0.5 * s**3,
+        rule = _INTERPOLATIONS[self.interpolation]
+        first, *others = (
+            shared(w, self._filtered(signal, at.earlier((s + back) * cycle)))
+            for w, back in zip(
+                rule.weights(s), reversed(range(rule.point_count)), strict=True
+            )
         )
-        points = [shared(w, point(3 - i)) for i, w in enumerate(weights)]
-        return points[0] + points[1] + points[2] + points[3], s
+        return sum(others, first), s
 
     def _filtered(
         self, signal: Signal, at: Instants

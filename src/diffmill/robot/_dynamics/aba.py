@@ -74,9 +74,9 @@ def check_algorithm(robot: Robot, algorithm: str) -> None:
         )
 
 
-def _axis(kind: str) -> int:
-    """Index of a joint's axis in a spatial vector."""
-    return 2 if kind == "prismatic" else 5
+def _axes(robot: Robot) -> list[int]:
+    """Index of each body's joint axis in a spatial vector: that of z, or about z."""
+    return [2 if slides else 5 for slides in robot.prismatic_mask()]
 
 
 def _moved(vector: Vector, place: int, by: Array) -> Vector:
@@ -145,7 +145,7 @@ def _motion(
     qd: Vector,
 ) -> _Motion:
     """Velocity terms of a motion."""
-    zero = jnp.zeros_like(qd[0])
+    zero, axes = jnp.zeros_like(qd[0]), _axes(robot)
     motions, drift, force = [], [], []
     for i, parent in enumerate(robot.parents):
         h, (A, _, J) = first_moments[i], inertias[i]
@@ -153,9 +153,8 @@ def _motion(
         V = _to_link(frames[i], motions[parent]) if parent >= 0 else at_rest
         turned = lambda x: (x[1] * qd[i], -x[0] * qd[i], zero)  # noqa: B023
         v, w = V[:3], V[3:]
-        slides = robot.body_kinds[i] == "prismatic"
-        c = turned(w) + (zero,) * 3 if slides else turned(v) + turned(w)
-        V, c = materialise((_moved(V, _axis(robot.body_kinds[i]), qd[i]), c))
+        c = turned(w) + (zero,) * 3 if axes[i] == 2 else turned(v) + turned(w)
+        V, c = materialise((_moved(V, axes[i], qd[i]), c))
         v, w = V[:3], V[3:]
         # symbols: p momentum, L angular momentum about the link's origin
         p, L = materialise(
@@ -176,10 +175,11 @@ def _articulated(
 ) -> list[_Articulated]:
     """Articulated inertias of the joints: a pass from the tips to the base."""
     inertias, articulated = list(inertias), []
+    is_prismatic = robot.prismatic_mask()
     floor = 8 * robot.body_count * float(np.finfo(robot.gravity.dtype).eps)
     for i in reversed(range(robot.body_count)):
         A, B, J = inertias[i]
-        slides = robot.body_kinds[i] == "prismatic"
+        slides = is_prismatic[i]
         U = A[2] + B[2] if slides else transpose(B)[2] + J[2]
         felt = (A if slides else J)[2][2]
         # Nothing is left of an inertia but rounding: as `factor` of the mass matrix.
@@ -227,7 +227,7 @@ def _accelerations(
     """Accelerations of the joints under torques and forces on the links."""
     zero = jnp.zeros_like(tau[0])
     force = [(zero,) * 6] * robot.body_count if motion is None else list(motion.force)
-    axes = [_axis(kind) for kind in robot.body_kinds]
+    axes = _axes(robot)
     u: list[Array] = [zero] * robot.body_count
     for i in reversed(range(robot.body_count)):
         U, inverse, carried = joints[i]

@@ -35,9 +35,10 @@ def link_frames(robot: Robot, q: Vector) -> list[LinkFrame]:
     frames = []
     rotations = numbers(robot.placement_rotations, 3)
     positions = numbers(robot.placement_positions, 2)
-    for kind, R, p, q_i in zip(robot.body_kinds, rotations, positions, q, strict=True):
+    slides = robot.prismatic_mask()
+    for i, (R, p, q_i) in enumerate(zip(rotations, positions, q, strict=True)):
         x, y, z = transpose(R)
-        if kind == "prismatic":
+        if slides[i]:
             frames.append(materialise(LinkFrame(R, add(p, scale(q_i, z)))))
             continue
         s, c = materialise((jnp.sin(q_i), jnp.cos(q_i)))

@@ -210,12 +210,11 @@ def _walk(
     lift = base_acceleration(robot, zero)
     velocities: list[Vector] = []
     accelerations: list[Vector] = []
-    joints, bodies = [], []
+    joints, bodies, slides = [], [], robot.prismatic_mask()
     for i, parent in enumerate(robot.parents):
         offset = tuple(a - b for a, b in zip(positions[i], tool, strict=True))
         z = tuple(row[2] for row in rotations[i])
-        slides = robot.body_kinds[i] == "prismatic"
-        S = z + (zero,) * 3 if slides else cross(offset, z) + z
+        S = z + (zero,) * 3 if slides[i] else cross(offset, z) + z
         offset, S = materialise((offset, S))
         V = velocities[parent] if parent >= 0 else (zero,) * 6
         A = accelerations[parent] if parent >= 0 else lift

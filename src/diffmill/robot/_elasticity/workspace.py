@@ -114,7 +114,7 @@ class StiffnessMap(eqx.Module):
 
         **Differentiability**: none; random poses, always the same ones.
         """
-        slides = np.array([kind == "prismatic" for kind in robot.joint_kinds])
+        slides = robot.joint_prismatic_mask()
         half = np.where(slides, 1.0, np.pi)
         home = np.asarray(robot.home, float)
         lower, upper = np.asarray(robot.joint_lower), np.asarray(robot.joint_upper)

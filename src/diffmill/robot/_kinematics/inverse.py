@@ -395,8 +395,8 @@ def start_elsewhere(
     """Start of a further search: the later, the farther from the first [rad or m]."""
     rng = np.random.default_rng(0)
     shares = jnp.asarray(rng.random((attempts, q_start.shape[0])), q_start.dtype)
-    slides = [kind == "prismatic" for kind in robot.joint_kinds]
-    half = jnp.where(jnp.asarray(slides), 1.0, jnp.pi).astype(q_start.dtype)
+    slides = jnp.asarray(robot.joint_prismatic_mask())
+    half = jnp.where(slides, 1.0, jnp.pi).astype(q_start.dtype)
     lower, upper = motor_limits(robot)
     lower = jnp.maximum(lower, q_start - half)
     upper = jnp.minimum(upper, q_start + half)
@@ -413,7 +413,7 @@ def unwound(
         # A follower need not turn by whole turns.
         return q
     turn = 2 * jnp.pi
-    turns = jnp.asarray([kind == "revolute" for kind in robot.joint_kinds])
+    turns = jnp.asarray(~robot.joint_prismatic_mask())
     lower, upper = motor_limits(robot)
     near = q - turn * jnp.round((q - q_start) / turn)
     down = near - turn * jnp.ceil(jnp.maximum(near - upper, 0.0) / turn)

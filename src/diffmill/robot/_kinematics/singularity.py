@@ -61,12 +61,12 @@ def _singularity(
 ) -> Singularity:
     # symbols: L length of the arm
     motors = list(robot.motor_joints)
-    slides = [robot.joint_kinds[i] == "prismatic" for i in motors]
+    slides = robot.joint_prismatic_mask()[motors]
     is_slide = jnp.asarray(slides)
     J = motor_jacobian(robot, joint_frames(robot, q), tool_rotation)[:, motors]
     L = jnp.ones((), q.dtype)
     # Else a batch would be a large constant, which the compiler folds for seconds.
-    if not all(slides):
+    if not slides.all():
         reach = jnp.max(jnp.where(is_slide, 0.0, jnp.sum(J[:3] ** 2, axis=0)))
         L = jnp.sqrt(jnp.where(reach > 0.0, reach, 1.0))
     rows = jnp.concatenate([J[:3] / L, J[3:]]) * jnp.where(is_slide, L, 1.0)[None]

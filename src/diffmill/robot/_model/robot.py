@@ -113,7 +113,7 @@ class Robot(eqx.Module):
     @property
     def joint_units(self) -> tuple[str, ...]:
         """Unit of each joint, "rad" or "m"."""
-        return tuple("m" if x == "prismatic" else "rad" for x in self.joint_kinds)
+        return tuple("m" if slides else "rad" for slides in self.joint_prismatic_mask())
 
     @property
     def dtype(self) -> DTypeLike:
@@ -136,6 +136,10 @@ class Robot(eqx.Module):
     def prismatic_mask(self) -> np.ndarray:
         """True for bodies that slide, shape (body,)."""
         return np.array([kind == "prismatic" for kind in self.body_kinds])
+
+    def joint_prismatic_mask(self) -> np.ndarray:
+        """True for joints that slide, shape (joint,)."""
+        return self.prismatic_mask()[[mimic is None for mimic in self.mimics]]
 
     def motor_mask(self) -> np.ndarray:
         """True for joints with a motor, shape (joint,)."""
