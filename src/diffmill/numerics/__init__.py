@@ -13,10 +13,9 @@ Assumes equally spaced samples on the host. Leaves out what JAX, equinox and opt
 already give, and filters within a traced function.
 """
 
-from ._clamp import clamp as clamp
 from ._filters import lowpass as lowpass
-from ._hat import hat_integral as hat_integral, ramp as ramp
 from ._inverse import small_inverse as small_inverse
+from ._kinks import clamp as clamp, hat_integral as hat_integral, ramp as ramp
 from ._xla.cached_jit import CachedJit as CachedJit
 from ._xla.materialise import materialise as materialise
 from ._xla.rematerialise import Rematerialised as Rematerialised

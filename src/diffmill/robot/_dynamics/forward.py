@@ -10,12 +10,11 @@ from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float
 
 from .._algebra.spatial import sum_rows
-from .._model.massless_joints import factor, refuse_singular
 from .._model.robot import JointVector, Robot, Wrench, joint_vector, wrench_vector
 from .aba import articulated_bodies, check_algorithm
+from .mass_inverse import factor, refuse_singular, spd_inverse
 from .rnea import inverse_dynamics
 from .rnea_derivatives import rnea_derivatives
-from .spd_inverse import spd_inverse
 from .terms import ArmTerms
 
 

@@ -14,12 +14,11 @@ from .._kinematics.forward import (
     tool_jacobian,
     tool_transform,
 )
-from .._model.massless_joints import refuse_singular
 from .._model.robot import JointVector, Robot, joint_vector
 from .aba import articulated_inverse, check_algorithm
 from .crba import composite_mass_matrix, gravity_stiffness, mass_matrix
+from .mass_inverse import refuse_singular, spd_inverse
 from .rnea import newton_euler
-from .spd_inverse import spd_inverse
 
 
 class ArmTerms(eqx.Module):

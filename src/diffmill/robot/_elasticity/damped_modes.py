@@ -5,8 +5,8 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from .._dynamics.crba import mass_matrix
+from .._dynamics.mass_inverse import factor, refuse_singular
 from .._kinematics.forward import jacobian
-from .._model.massless_joints import factor, refuse_singular
 from .._model.robot import JointVector, Robot, joint_vector
 
 # Least imaginary part over the size of a pole that rings.

@@ -8,8 +8,8 @@ from jaxtyping import Array, Bool, Float
 
 from ...numerics import CachedJit
 from .._dynamics.crba import mass_matrix
+from .._dynamics.mass_inverse import factor, refuse_singular
 from .._kinematics.forward import jacobian
-from .._model.massless_joints import factor, refuse_singular
 from .._model.robot import JointVector, Robot, joint_vector
 
 

@@ -1,11 +1,17 @@
-"""Joints that move no mass: no dynamics, and no silent answer instead."""
+"""Factor and inverse of a mass matrix; where joints move no mass there is none."""
 
+from collections.abc import Sequence
+from typing import Any
+
+import jax
 import jax.numpy as jnp
+import jax.scipy.linalg as jsl
 import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from .robot import Robot
+from .._algebra.spatial import sum_rows
+from .._model.robot import Robot
 
 
 def factor(mass_matrix: Float[Array, "joint joint"]) -> Float[Array, "joint joint"]:
@@ -39,3 +45,28 @@ def refuse_singular(
         f"The {what} of {robot.name!r} cannot be computed: the mass matrix is singular "
         f"({reason}), or an argument is not a number. Kinematics is not concerned."
     )
+
+
+@jax.custom_jvp
+def spd_inverse(
+    matrix: Float[Array, "joint joint"],
+) -> Float[Array, "joint joint"]:
+    """Inverse of a symmetric, positive definite matrix.
+
+    A step that multiplies with it often is cheaper than one that solves. Derivatives
+    are two products, not those of a factor and its solutions.
+
+    Args:
+        matrix: Such as M + diag(d) [kg m^2], shape (joint, joint).
+
+    Returns:
+        The inverse; not a number where the matrix is singular to rounding.
+    """
+    eye = jnp.eye(matrix.shape[0], dtype=matrix.dtype)
+    return jsl.cho_solve((factor(matrix), True), eye)
+
+
+@spd_inverse.defjvp
+def _jvp(primals: Sequence[Any], tangents: Sequence[Any]) -> tuple[Array, Array]:
+    inverse = spd_inverse(*primals)
+    return inverse, -sum_rows(inverse, sum_rows(tangents[0], inverse))
