@@ -37,12 +37,13 @@ from .._machine.modal import ModalMachine
 from .._machine.quasi_static import QuasiStaticArm
 from .._machine.rigid import Rigid
 from .failure import troubles_of
-from .intervals import with_more_intervals
 
 if TYPE_CHECKING:
     import pandas
     import xarray
 
+# More intervals than this on a ray are no pocket but a fault of the program.
+_MOST_INTERVALS = 128
 # Called between the parts of a run with a message and the share done.
 OnProgress = Callable[[str, float], None]
 
@@ -332,17 +333,46 @@ def simulate_with_slot_growth(
         _prepare(job)
     on_progress("rigid cut", 0.0)
     rigid = rigid_cut(job, adjoint)
-    while (more := with_more_intervals(job, rigid.result)) is not None:
+    while (more := _with_more_intervals(job, rigid.result)) is not None:
         job = more
         on_progress(f"rigid cut again: {job.notes[-1]}", 0.0)
         rigid = rigid_cut(job, adjoint)
     on_progress("robot and cut", 0.4)
     solution = Solution.of_command(job, rigid, commanded, adjoint)
-    while (more := with_more_intervals(job, solution.result)) is not None:
+    while (more := _with_more_intervals(job, solution.result)) is not None:
         job = more
         on_progress(f"robot and cut again: {job.notes[-1]}", 0.4)
         solution = Solution.of_command(job, rigid, commanded, adjoint)
     return SolvedJob(job, solution)
+
+
+def _with_more_intervals(job: Job, result: RESULTS) -> Job | None:
+    """The job with twice the slots, if a run of it needs more than it has.
+
+    How many intervals a ray needs at once is known only when the program has been cut:
+    a pocket cleared in many passes leaves strips that a ray crosses one by one. Every
+    slot costs time and memory in each step, so a job begins with a few.
+
+    Args:
+        job: The job that was run.
+        result: Outcome of its run.
+
+    Returns:
+        The job with a note; None if the run did not end so, if the job states its
+        number of intervals, under a transformation, or if there is no room for more.
+
+    **Differentiability**: runs on the host.
+    """
+    if is_traced(result) or job.keeps_intervals:
+        return None
+    if not bool(result == RESULTS.interval_overflow):
+        return None
+    x, y, z = job.stock.interval_counts
+    # A tool that stands upright never splits a ray along z.
+    counts = (2 * x, 2 * y, 2 * z if job.simulation.axes else z)
+    if max(counts) > _MOST_INTERVALS or job.stock.memory_with(counts).is_too_much:
+        return None
+    return job.with_intervals(counts)
 
 
 def job_process(job: Job, derivative: AbstractAdjoint) -> Process:

@@ -28,7 +28,6 @@ from ..._result import RESULTS
 from ..._types import IntScalar
 from ...process import Engagement, Process, ProcessState, RemovedVolume
 from ...workpiece import Pose, PoseTrack, Stock
-from .turn_chips import TurnChips
 
 
 class RunState(eqx.Module):
@@ -114,6 +113,23 @@ class Period(eqx.Module):
     has_failed: Bool[Array, ""]
     samples: Float[Array, "sample 3"] | None = None
     substeps: LoadedSubsteps | None = None
+
+
+class TurnChips(eqx.Module):
+    """Chips of the teeth in some periods, sample by sample.
+
+    Attributes:
+        angle: Of the samples [rad], shape (*period, substep, angle, kept, disc).
+        tooth: The tooth that each is of, same shape.
+        chip: Chip thickness in the stock [m], shape (*period, substep, angle, kept,
+            element).
+        weight: Occupancy, same shape.
+    """
+
+    angle: Float[Array, "*period substep angle kept disc"]
+    tooth: Int[Array, "*period substep angle kept disc"]
+    chip: Float[Array, "*period substep angle kept element"]
+    weight: Float[Array, "*period substep angle kept element"]
 
 
 class AbstractMachine(eqx.Module):

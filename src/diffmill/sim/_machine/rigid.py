@@ -28,9 +28,9 @@ from .machine import (
     PeriodRow,
     Run,
     RunState,
+    TurnChips,
     engage_if_valid,
 )
-from .turn_chips import TurnChips, turn_chips
 
 
 class PathRow(eqx.Module):
@@ -87,7 +87,7 @@ class Rigid(AbstractMachine):
         def chips() -> TurnChips:
             state = process.begin(command[0], 1)
             cut = process.engage(state, jnp.ones((), jnp.int32), middles)
-            return turn_chips(process, cut, middles, state.recent)
+            return _turn_chips(process, cut, middles, state.recent)
 
         room = jax.tree.map(
             lambda x: jnp.zeros((count + 1, *x.shape), x.dtype), jax.eval_shape(chips)
@@ -134,7 +134,7 @@ class Rigid(AbstractMachine):
             periods_left = self.chip_row - row.period
             is_kept = (periods_left >= 0) & (periods_left < teeth)
             newest = if_valid(
-                is_kept, lambda: turn_chips(process, cut, middles, recent)
+                is_kept, lambda: _turn_chips(process, cut, middles, recent)
             )
             place = jnp.where(is_kept, jnp.mod(row.period, teeth), teeth)
             chips = jax.tree.map(lambda x, new: x.at[place].set(new), chips, newest)
@@ -149,6 +149,27 @@ class Rigid(AbstractMachine):
             has_failed=cutting.has_failed,
             samples=samples if self.keeps_instantaneous else None,
         )
+
+
+def _turn_chips(
+    process: Process, cut: Engagement, middles: Pose, recent: Pose
+) -> TurnChips:
+    """Chips of the teeth in a period whose poses are known.
+
+    Args:
+        process: The process.
+        cut: The engagement in the period.
+        middles: Poses in the middle of its sub-steps, shape (substep, 3).
+        recent: Those of earlier periods, newest first, shape (tooth, substep, 3).
+    """
+    chip = jax.vmap(
+        lambda samples, pose, earlier: process.engagement.chip(
+            process, samples, pose, earlier, cut.decimated
+        )
+    )(cut.samples, middles, process.earlier(recent, middles))
+    samples = cut.samples
+    chip = jnp.clip(chip, 0, process.cutter.diameter / 2) * samples.chip_share
+    return TurnChips(samples.angle, samples.tooth, chip, samples.occupancy)
 
 
 def period_wrench(
