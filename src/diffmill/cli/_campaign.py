@@ -46,9 +46,9 @@ def run_campaign_file(
         file: The campaign's file.
         workers: The processes that run its jobs.
         out: Folder for the results, or None for `./<file>-campaign`.
-        force: Whether every job runs anew.
+        force: True to run every job anew.
         progress: Shows how far it is.
-        allow_outside: Whether files outside their folders may be named.
+        allow_outside: True if files outside their folders may be named.
     """
     from ..campaign import run_campaign
     from ..config import load_campaign

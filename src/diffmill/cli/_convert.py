@@ -27,8 +27,8 @@ def convert_file(
         source: The program or the path.
         target: The file to write.
         tolerance: Largest distance of the written motion from the read one [m].
-        force: Whether a file that is there may be replaced.
-        is_spline: Whether a path becomes a spline.
+        force: True to replace a file that is there.
+        is_spline: True to write a path as a spline.
         tool_axis: Axis of the robot's tool that points from the shank to the tip, in a
             program of KRL or RAPID that is read or written; "z" if None.
 

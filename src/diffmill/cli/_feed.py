@@ -60,9 +60,9 @@ def run_feed(
         file: The job file.
         request: The feeds to try.
         out: Folder for the results, or None for `./<job>-feed`.
-        force: Whether results that are there are replaced.
+        force: True to replace results that are there.
         progress: Shows how far it is.
-        allow_outside: Whether the job may name files outside its folder.
+        allow_outside: True if the job may name files outside its folder.
 
     Returns:
         The exit code.
@@ -70,7 +70,7 @@ def run_feed(
     folder = pathlib.Path(f"{file.stem}-feed") if out is None else out
     with bad_input():
         ResultsFolder.of(folder).check(force=force)
-    # What takes seconds to import waits until it is needed.
+    # Imports that take seconds wait until they are needed.
     from ..config import job_precision, load_job
 
     with bad_input():

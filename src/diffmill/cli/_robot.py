@@ -50,7 +50,7 @@ def run_robot(
     folder = pathlib.Path(f"{pathlib.Path(model).stem}-robot") if out is None else out
     with bad_input():
         ResultsFolder.of(folder).check(force=force)
-    # What takes seconds to import waits until it is needed.
+    # Imports that take seconds wait until they are needed.
     configure_jax()
     from ..io import parse_pose
     from ..robot import built_in_models, load, spindle_note

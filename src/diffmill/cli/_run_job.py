@@ -87,7 +87,7 @@ def run_job(
         # A run that was interrupted after its results goes on into the same folder.
         may_replace = force or (resume and results.has_unfinished_run())
         results.check(force=may_replace)
-    # What takes seconds to import waits until it is needed.
+    # Imports that take seconds wait until they are needed.
     from .._toml import JobError
     from ..config import JobProgram, job_precision, load_job
 

@@ -39,8 +39,8 @@ def copy_example(
 
     Args:
         name: One of `EXAMPLES`.
-        folder: Where to write; it is made if absent.
-        force: Whether files of the same name are overwritten.
+        folder: Folder of the files; it is made if absent.
+        force: True to overwrite files of the same name.
 
     Returns:
         Path of the job file.

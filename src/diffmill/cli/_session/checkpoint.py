@@ -43,7 +43,7 @@ class Checkpoint:
 
         Args:
             resume: True to go on from the checkpoint.
-            force: Whether an earlier one may be replaced.
+            force: True to replace an earlier one.
 
         Raises:
             BadInput: A checkpoint is there and neither is asked for.

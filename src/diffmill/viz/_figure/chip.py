@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     import matplotlib.cm
     import matplotlib.figure
 
-# What is thinner than this share of the thickest chip is not shown.
+# Chips thinner than this share of the thickest one are not shown.
 _LEAST = 0.01
 
 

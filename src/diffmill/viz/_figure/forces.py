@@ -24,7 +24,7 @@ class ForceTrace(eqx.Module):
         time: Time of each sample [s], shape (sample,).
         force: Force on the tool [N], shape (sample, 3).
         tooth_period: Time between two teeth [s], or 0 where it is not known.
-        is_tooth_mean: Whether each sample is a mean over a tooth period.
+        is_tooth_mean: True if each sample is a mean over a tooth period.
     """
 
     time: Float[np.ndarray, " sample"]

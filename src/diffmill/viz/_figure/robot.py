@@ -147,12 +147,12 @@ def draw_arm(
     """Draw links, joints and the tool's frame, seen along one base axis.
 
     Args:
-        axes: Where to draw.
+        axes: Axes of the drawing.
         robot: The robot.
         bones: Its joints at a pose.
         plane: The two base axes that are seen, across and up, such as "xz".
         arrow: Length of the tool's axes [m]; 0 draws a cross at the tip instead.
-        is_faint: Whether the arm only stands in front of something else.
+        is_faint: True if the arm only stands in front of something else.
     """
     i, j = StiffnessMap.axes_of(plane)
     colour = "white" if is_faint else _LINK

@@ -145,29 +145,37 @@ def parts_html(dataset: "xarray.Dataset") -> str:
     return f'{table}<p class="note">{note}</p>{lines}'
 
 
-def surface_kinds(dataset: "xarray.Dataset") -> list[str]:
-    """Kinds of surface whose machined error a result has: "wall", "floor"."""
+def surface_figures(dataset: "xarray.Dataset") -> dict[str, dict[str, float]]:
+    """Figures of the machined surface's error by case [m], walls and floors apart."""
     if "surface_deepest" not in dataset:
-        return []
-    return [kind for kind in ("wall", "floor") if f"surface_{kind}_rms" in dataset]
+        return {}
+    kinds = [kind for kind in ("wall", "floor") if f"surface_{kind}_rms" in dataset]
+    keys = [f"{kind}_{key}" for kind in kinds for key in ("mean", "rms", "p95")]
+    if not keys:
+        return {}
+    return {
+        name: {
+            key: float(select_case(dataset, name)[f"surface_{key}"])
+            for key in (*keys, "deepest")
+        }
+        for name in case_names(dataset)
+    }
 
 
 def surface_figures_html(dataset: "xarray.Dataset") -> str:
     """Table of the machined surface's error, walls and floors apart."""
-    kinds = surface_kinds(dataset)
-    if not kinds:
+    figures = surface_figures(dataset)
+    if not figures:
         return ""
-    names = case_names(dataset)
-    keys = [f"surface_{kind}_{key}" for kind in kinds for key in ("mean", "rms", "p95")]
-    keys.append("surface_deepest")
+    names = list(figures)
+    titles = {"rms": "rms", "p95": "95 %", "deepest": "deepest cut into the part"}
     header = ["case"]
-    for kind in kinds:
-        header += [f"{kind}: mean [{MICROMETRE}]", "rms", "95 %"]
-    header.append("deepest cut into the part")
+    for key in figures[names[0]]:
+        kind, _, figure = key.rpartition("_")
+        header.append(titles.get(figure, f"{kind}: mean [{MICROMETRE}]"))
     rows = []
-    for name in names:
-        case = select_case(dataset, name)
-        numbers = [float(case[key]) * 1e6 for key in keys]
+    for name, values in figures.items():
+        numbers = [1e6 * value for value in values.values()]
         text = ["-" if np.isnan(value) else f"{value:.1f}" for value in numbers]
         rows.append([case_style(name).label, *text])
     note = (

@@ -1,24 +1,35 @@
 """Files to load on the machine, and settings to make there."""
 
-from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..._job import Job
+from .._cases import case_numbers, chosen_case, reference_case
 from .._style import MICROMETRE
+from .verdict import written_errors
+
+if TYPE_CHECKING:
+    import xarray
 
 # Files that say the motion and leave base and tool to the robot's controller.
 _ROBOT_FILES = (".src", ".mod")
 
 
-def machine_lines(job: Job, written: Mapping[str, float]) -> list[str]:
+def machine_lines(dataset: "xarray.Dataset", job: Job | None) -> list[str]:
     """Lines on the files to load, and on the zero, tool and spindle that they need.
 
     Args:
+        dataset: A result of `correct`; of another there are no lines.
         job: The job.
-        written: Error that the written programs leave when they are read and run [m],
-            by name of file.
     """
+    chosen, reference = chosen_case(dataset), reference_case(dataset)
+    if job is None or chosen == reference:
+        return []
+    rms = lambda case: case_numbers(dataset, case).contour.rms
+    if rms(chosen) > rms(reference):
+        return ["Nothing to load: the corrected command is worse than the program."]
+    written = written_errors(dataset, "rms")
     names = [f"corrected{suffix}" for suffix in job.output.formats]
     if not names:
         return []

@@ -8,12 +8,12 @@ It reads of a result, besides the variables of `simulate` and `correct`:
 - attributes `CASE_NAME`, such as `mirror_forward_runs`: the cost and the settings of
   each case, those that end in `_s` in seconds; `corrected_case`: the case whose
   command is the corrected program; `written_rms_SUFFIX` and `written_max_SUFFIX` [m],
-  the errors that the program in `corrected.SUFFIX` leaves, and likewise `moved_` and
-  `stream_` for those files; `is_successful` (0 marks a run that failed);
+  the errors that the program in `corrected.SUFFIX` leaves, and `moved_` and `stream_`
+  for those files; `is_successful` (0 marks a run that failed);
   `tolerance_band` [m], the contour error to hold the result against;
   `stability_has_chatter` (1 where vibrations grow), and of those that grow most
   `stability_largest_radius`, `stability_frequency` [Hz]; `mismatch_rms_stiffness` and
-  `mismatch_rms_force` [m], what the command leaves where these are off by
+  `mismatch_rms_force` [m], the error of the command where these are off by
   `mismatch_share`;
 - every other attribute is listed as a setting.
 """
@@ -134,7 +134,7 @@ def write_report(
         _head(kind, title, dataset, failure),
         section_html("Where the tool misses", scene),
         section_html("Result", *_result_blocks(dataset)),
-        section_html("On the machine", _items(_machine(dataset, job))),
+        section_html("On the machine", _items(machine_lines(dataset, job))),
         section_html("What limited the result", _items(limits(dataset, bounds))),
         section_html("By part of the path", parts_html(dataset)),
         section_html("Machined surface", surface_figures_html(dataset)),
@@ -282,17 +282,6 @@ def _chosen(dataset: "xarray.Dataset") -> str:
     """Return the case that became the corrected program; nothing if there is none."""
     name = chosen_case(dataset)
     return name if name != reference_case(dataset) else ""
-
-
-def _machine(dataset: "xarray.Dataset", job: Job | None) -> list[str]:
-    """Files to load and settings to make, if a corrected program was written."""
-    if job is None or not _chosen(dataset):
-        return []
-    chosen, reference = _chosen(dataset), reference_case(dataset)
-    rms = lambda case: case_numbers(dataset, case).contour.rms
-    if rms(chosen) > rms(reference):
-        return ["Nothing to load: the corrected command is worse than the program."]
-    return machine_lines(job, written_errors(dataset, "rms"))
 
 
 def _case_attributes(dataset: "xarray.Dataset") -> dict[str, dict[str, str]]:

@@ -4,9 +4,9 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from .._cases import case_names, case_numbers, is_diverging, select_case
+from .._cases import case_names, case_numbers, is_diverging
 from .._style import MICROMETRE
-from .case_parts import case_parts, out_of_cut_lines, surface_kinds
+from .case_parts import case_parts, out_of_cut_lines, surface_figures
 from .verdict import departure_text, unsettled_text, verdict
 
 if TYPE_CHECKING:
@@ -64,11 +64,10 @@ def _verdict(dataset: "xarray.Dataset") -> list[str]:
 
 def _surface(dataset: "xarray.Dataset") -> list[str]:
     """Return lines of the machined surface's error of each case."""
-    kinds = surface_kinds(dataset)
-    if not kinds:
+    figures = surface_figures(dataset)
+    if not figures:
         return []
-    keys = [f"{kind}_{key}" for kind in kinds for key in ("mean", "rms", "p95")]
-    keys.append("deepest")
+    keys = next(iter(figures.values()))
     names = [key.replace("_", " ").replace("p95", "95 %") for key in keys]
     rows = [
         "",
@@ -76,10 +75,9 @@ def _surface(dataset: "xarray.Dataset") -> list[str]:
         "left, deepest: cut into the part",
         f"{'case':16}{''.join(f'{name:>12}' for name in names)}",
     ]
-    for case in case_names(dataset):
-        selected = select_case(dataset, case)
-        values = (float(selected[f"surface_{key}"]) * 1e6 for key in keys)
-        rows.append(f"{case:16}{''.join(_cell(value, 12) for value in values)}")
+    for case, values in figures.items():
+        cells = "".join(_cell(1e6 * value, 12) for value in values.values())
+        rows.append(f"{case:16}{cells}")
     return rows
 
 

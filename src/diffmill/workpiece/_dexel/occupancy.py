@@ -185,13 +185,13 @@ class Discs(eqx.Module):
                 (point, disc, 2).
             chips: From each point to the inner side of its chip [m], as `moves`.
             cutter: The cutter that cut the stock; used only with `track`.
-            growth: How much thicker a chip is at the next sample [-], shape (point,
+            growth: Growth of a chip to the next sample [-], shape (point,
                 disc): beside a wall it counts as thick as in the middle of the part
                 that is in the material. None for chips of constant thickness.
             track: All poses so far, to which the derivative goes; None differentiates
                 through the stock.
-            slots: How many slots of each family hold anything, shape (3,); counted if
-                not given.
+            slots: Number of slots in use of each family, shape (3,); counted if not
+                given.
 
         Returns:
             Of every disc at every point, shape (point, element).

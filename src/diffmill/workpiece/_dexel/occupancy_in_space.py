@@ -117,10 +117,9 @@ def occupancy_in_space(
         cutter: The cutter that cut the stock; used only with `track`.
         track: All poses so far, to which the derivative goes; None differentiates
             through the stock.
-        growth: How much thicker a chip is at the next sample [-], shape (point,), as
-            of `Discs.occupancy`; None for chips of constant thickness.
-        slots: How many slots of each family hold anything, shape (3,); counted if not
-            given.
+        growth: Growth of a chip to the next sample [-], shape (point,), see
+            `Discs.occupancy`; None for chips of constant thickness.
+        slots: Number of slots in use of each family, shape (3,); counted if not given.
 
     Returns:
         Of every piece, shape (point,).
@@ -242,7 +241,7 @@ def _combine(
     trust = jnp.stack([f.trust for f in faces])
     share = trust / jnp.max(trust, axis=0, keepdims=True)
     doubt = clamp(0.0, (_FULL_TRUST - share) / (_FULL_TRUST - _NO_TRUST), 1.0)
-    # What the silent rays of families that see a face are: material, or air.
+    # Rays that meet nothing, of families that see a face, are in material or in air.
     full = jnp.sum(trust * jnp.stack([f.full for f in faces]), axis=0)
     empty = jnp.sum(trust * jnp.stack([f.empty for f in faces]), axis=0)
     goes_in = full / (full + empty + _HALF_TRUST_SHARE)
@@ -283,7 +282,7 @@ def _inside(
     """Share inside an edge of the surface, from the shares inside each plane [-]."""
     normals = jnp.stack([f.normal for f in faces])
     out = _inside_all(shares + (1 - shares) * doubt, normals)
-    # Where the edge goes in, what is outside of all planes is outside.
+    # Where the edge goes in, a point outside of all planes is outside.
     into = 1 - _inside_all(1 - shares * (1 - doubt), normals)
     return (1 - goes_in) * out + goes_in * into
 

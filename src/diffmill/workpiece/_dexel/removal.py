@@ -34,7 +34,7 @@ class RemovalWindow(eqx.Module):
 
     Attributes:
         sizes: Grid lines along x, y and z.
-        slack: How far the second pose may stand from the first [m].
+        slack: Largest distance of the second pose from the first [m].
         length: Length of the tool from the tip that can be in the stock [m]; used
             for tools in any direction, whose window stands around this length.
         has_shank: True if the shank above the flutes can be in the stock.

@@ -79,7 +79,7 @@ def stock_of_arrays(
 
     Args:
         arrays: The arrays by name.
-        is_raw: Whether the ends forget their poses and the top is the highest material.
+        is_raw: True if the ends forget their poses and the top is the highest material.
         dtype: Floating type; JAX's default if not given.
 
     Raises:

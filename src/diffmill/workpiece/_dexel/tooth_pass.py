@@ -2,9 +2,9 @@
 
 A point of a surface is made by a tooth at the instant at which it looks at the point:
 the tool shakes and moves on within a tooth period, so walls in other directions, and
-at other heights on a helix, see other poses. What one tooth takes as it goes around
-once is a cutter whose tip depends on direction and height. All of these together are
-what the tool takes.
+at other heights on a helix, see other poses. The cut of one tooth as it goes around
+once is that of a cutter whose tip depends on direction and height. All of these
+together are the cut of the tool.
 
 The turn is cut open behind the tool, where earlier teeth have been: whatever a tooth
 takes ahead of it is one surface without a step.
