@@ -32,6 +32,10 @@ TABLES = (
 )
 
 
+# Families of strategies, each with the key that names one.
+FAMILIES = {"ObjectiveSettings": "[correction] objective"}
+
+
 class Kind(NamedTuple):
     """What a key may hold.
 
@@ -79,6 +83,7 @@ KINDS = {
     "Side": Kind('`"slot"`, `"up"` or `"down"`'),
     "Span": Kind('two times or `"none"`', "s"),
     "SpindleSpeed": Kind("rotational speed above 0", "rad/s"),
+    "Sections": Kind("list of tables"),
     "StrictBool": Kind("true or false"),
     "StrictInt": Kind("whole number"),
     "StrictStr": Kind("text"),
@@ -269,11 +274,12 @@ def keys_page(title: str, folder: str, besides: str = "") -> str:
         besides,
     ]
     for table in sorted(tables(folder), key=place):
-        heading, *more = (ast.get_docstring(table) or table.name).split("\n", 1)
-        lines += ["", f"## {heading.removesuffix('.')}", "", *more, ""]
+        _, *more = (ast.get_docstring(table) or "").split("\n", 1)
+        more = more if not is_settings(table) else []
+        lines += ["", f"## {heading_of(table)}", "", *more, ""]
         lines += ["| key | value | default | meaning |", "|---|---|---|---|"]
         for field in keys(table):
-            row = [f"`{ast.unparse(field.target)}`", kind(field.annotation).words]
+            row = [f"`{key_name(field)}`", kind(field.annotation).words]
             row += [default(field), meaning(field)]
             cells = (re.sub(r"[|*]", r"\\\g<0>", cell) for cell in row)
             lines.append(f"| {' | '.join(cells)} |")
@@ -281,23 +287,57 @@ def keys_page(title: str, folder: str, besides: str = "") -> str:
 
 
 def tables(folder: str) -> Iterator[ast.ClassDef]:
-    """Yield the tables with keys of their own that the schema in a folder declares."""
-    for file in sorted((CONFIG / folder).glob("*.py")):
+    """Yield the tables with keys of their own that the schema in a folder declares.
+
+    Those of a job are settings, too.
+    """
+    files = sorted((CONFIG / folder).glob("*.py"))
+    if folder == "_schema":
+        files += sorted((PACKAGE / "settings").glob("*.py"))
+    for file in files:
         for node in ast.parse(file.read_text(encoding="utf-8")).body:
             if not isinstance(node, ast.ClassDef) or not keys(node):
                 continue
-            if any("Table" in ast.unparse(base) for base in node.bases):
+            if is_settings(node) or "TomlTable" in map(ast.unparse, node.bases):
                 yield node
+
+
+def is_settings(table: ast.ClassDef) -> bool:
+    """Return whether a class is settings, of a table or of a strategy."""
+    return bool({"table", "name"} & {option.arg for option in table.keywords})
 
 
 def keys(table: ast.ClassDef) -> list[ast.AnnAssign]:
     """Return the keys of a table."""
-    return [field for field in table.body if isinstance(field, ast.AnnAssign)]
+    fields = [field for field in table.body if isinstance(field, ast.AnnAssign)]
+    if not is_settings(table):
+        return fields
+    calls = [field for field in fields if isinstance(field.value, ast.Call)]
+    return [f for f in calls if ast.unparse(f.value.func) == "key"]
+
+
+def key_name(field: ast.AnnAssign) -> str:
+    """Return the name of a key in a file."""
+    name = options_of(field.value).get("name")
+    return ast.unparse(field.target) if name is None else ast.literal_eval(name)
+
+
+def heading_of(table: ast.ClassDef) -> str:
+    """Return the heading of a table: its place in a file comes first."""
+    text = (ast.get_docstring(table) or table.name).split("\n")[0].removesuffix(".")
+    options = {option.arg: option.value for option in table.keywords}
+    if "table" in options:
+        first, *inner = ast.literal_eval(options["table"]).split(".")
+        return f"`[{first}]{''.join(f' {name}' for name in inner)}`: {text}"
+    if "name" in options:
+        family = FAMILIES[ast.unparse(table.bases[0])]
+        return f'`{family} = "{ast.literal_eval(options["name"])}"`: {text}'
+    return text
 
 
 def place(table: ast.ClassDef) -> tuple[int, bool]:
     """Sort key of a table: the order of `TABLES`, parts behind it, others last."""
-    heading = (ast.get_docstring(table) or "").split("\n")[0]
+    heading = heading_of(table)
     found = re.search(r"\[+(\w+)", heading)
     name = found[1] if found else ""
     index = TABLES.index(name) if name in TABLES else len(TABLES)
@@ -318,6 +358,8 @@ def kind(annotation: ast.expr) -> Kind:
             return kind(one)
         case ast.BinOp(left=one, right=other):
             return Kind(f"{kind(one).words} or {kind(other).words}")
+        case ast.Subscript(ast.Name("Leaf"), inner):
+            return kind(inner)
         case ast.Subscript(ast.Name("Literal"), choice):
             names = choice.elts if isinstance(choice, ast.Tuple) else [choice]
             *most, last = (f"`{shown(name)}`" for name in names)
@@ -328,9 +370,25 @@ def kind(annotation: ast.expr) -> Kind:
             return Kind("list of tables")
         case ast.Subscript(ast.Name("list"), inner):
             return Kind(f"list: {kind(inner).words}")
-        case ast.Name(name) if name.endswith("Table"):
+        case ast.Name(name) if name in FAMILIES:
+            return Kind(choice_of(name))
+        case ast.Name(name) if name.endswith(("Table", "Settings")):
             return Kind("table")
     raise KeyError(text)
+
+
+def choice_of(family: str) -> str:
+    """Return the names of the strategies of a family."""
+    found = [
+        ast.literal_eval(option.value)
+        for file in sorted((PACKAGE / "settings").glob("*.py"))
+        for node in ast.parse(file.read_text(encoding="utf-8")).body
+        if isinstance(node, ast.ClassDef) and family in map(ast.unparse, node.bases)
+        for option in node.keywords
+        if option.arg == "name"
+    ]
+    *most, last = (f'`"{name}"`' for name in found)
+    return f"{', '.join(most)} or {last}" if most else last
 
 
 def range_of(limits: ast.expr) -> str:
@@ -352,11 +410,14 @@ def meaning(field: ast.AnnAssign) -> str:
 def default(field: ast.AnnAssign) -> str:
     """Return the default of a key, with its unit; a key without one is required."""
     options = options_of(field.value)
+    if "follows" in options:
+        return ""
     value = options.get("default", options.get("default_factory"))
     if value is None:
         return "required"
     text, unit = shown(value), kind(field.annotation).unit
-    words = {"null": "", "list": "none", "dict": "none", "math.inf": "none"}
+    empty = dict.fromkeys(("list", "dict", "()", "math.inf"), "none")
+    words = {"null": ""} | empty
     return words.get(text, f"`{f'{text} {unit}'.strip()}`")
 
 
@@ -378,5 +439,6 @@ def options_of(value: ast.expr | None) -> dict[str, ast.expr]:
     """Return the options of a key's `Field`, its default by its name."""
     if not isinstance(value, ast.Call):
         return {} if value is None else {"default": value}
-    first = {"default": value.args[0]} if value.args else {}
+    name = "description" if ast.unparse(value.func) == "key" else "default"
+    first = {name: value.args[0]} if value.args else {}
     return first | {option.arg: option.value for option in value.keywords if option.arg}

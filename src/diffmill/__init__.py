@@ -25,6 +25,7 @@ if TYPE_CHECKING:
         optimise as optimise,
         process as process,
         robot as robot,
+        settings as settings,
         sim as sim,
         toolpath as toolpath,
         units as units,
@@ -33,17 +34,19 @@ if TYPE_CHECKING:
     )
     from ._jax_config import use_compile_cache as use_compile_cache
     from ._job import (
-        CorrectionSettings as CorrectionSettings,
         Job as Job,
-        LineWeight as LineWeight,
         ScatterSettings as ScatterSettings,
         SimulationSettings as SimulationSettings,
-        UncertaintySettings as UncertaintySettings,
     )
     from ._result import RESULTS as RESULTS, SimulationFailed as SimulationFailed
     from ._toml import JobError as JobError
     from .config import load_job as load_job
     from .correction import Correction as Correction, correct as correct
+    from .settings.correction import (
+        CorrectionSettings as CorrectionSettings,
+        LineWeight as LineWeight,
+        UncertaintySettings as UncertaintySettings,
+    )
     from .sim import Solution as Solution, simulate as simulate, stack as stack
 
     __version__: str
@@ -61,6 +64,7 @@ _MODULES = (
     "optimise",
     "process",
     "robot",
+    "settings",
     "sim",
     "toolpath",
     "units",
@@ -70,16 +74,16 @@ _MODULES = (
 # Where each of the other public names lives.
 _NAMES = {
     "Correction": "correction",
-    "CorrectionSettings": "_job",
+    "CorrectionSettings": "settings.correction",
     "Job": "_job",
-    "LineWeight": "_job",
+    "LineWeight": "settings.correction",
     "JobError": "_toml",
     "RESULTS": "_result",
     "ScatterSettings": "_job",
     "SimulationFailed": "_result",
     "SimulationSettings": "_job",
     "Solution": "sim",
-    "UncertaintySettings": "_job",
+    "UncertaintySettings": "settings.correction",
     "correct": "correction",
     "load_job": "config",
     "simulate": "sim",

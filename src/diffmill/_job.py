@@ -8,11 +8,12 @@ and the error that lists every fault are in `diffmill.config`.
 import dataclasses
 import math
 from collections.abc import Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jax.tree_util import GetAttrKey, register_pytree_with_keys
 from jaxtyping import Array, Float
 
 from ._arrays import cast_floats, has_values, is_traced
@@ -20,8 +21,25 @@ from ._types import FloatRows3, RealScalarLike, Transform
 from .cutter import AbstractCutter, ToolHolder
 from .cutting import AbstractForceLaw
 from .robot import Controller, Robot, TipModes, ToolRotation
+from .settings.base import Settings
+from .settings.correction import CorrectionSettings
 from .toolpath import Path, Point, ProgramTiming
 from .workpiece import Stock
+
+
+def _register(kind: type[Settings]) -> None:
+    """Make a class of settings a node of JAX's trees, static but for its leaves."""
+
+    def flatten(settings: Settings) -> tuple[list[tuple[object, object]], Settings]:
+        leaves = settings.leaves()
+        keys = map(GetAttrKey, settings.leaf_names())
+        static = settings.with_leaves([None] * len(leaves))
+        return list(zip(keys, leaves, strict=True)), static
+
+    register_pytree_with_keys(kind, flatten, Settings.with_leaves)
+
+
+_register(CorrectionSettings)
 
 
 class ScatterSettings(eqx.Module):
@@ -89,119 +107,6 @@ class SimulationSettings(eqx.Module):
     )
     updates_per_period: int = eqx.field(static=True, default=1)
     scatter: ScatterSettings | None = None
-
-
-class UncertaintySettings(eqx.Module):
-    """Uncertainty of the model that a correction is computed with.
-
-    Attributes:
-        stiffness: Relative uncertainty of every joint's stiffness: half the width of
-            an interval, or the standard deviation.
-        damping: That of every joint's damping.
-        force: That of every force coefficient.
-        is_gaussian: Whether the uncertainties are standard deviations.
-        draws: Members of the ensemble.
-        seed: Seed of the draws.
-        objective: Whether the "mean" square error over the members becomes small, or
-            that of the "worst" of them.
-        delay: Largest time by which the offsets may come late to the program [s];
-            every delay from 0 on is as likely, also where the rest is normal.
-    """
-
-    stiffness: float = eqx.field(static=True, default=0.0)
-    damping: float = eqx.field(static=True, default=0.0)
-    force: float = eqx.field(static=True, default=0.0)
-    is_gaussian: bool = eqx.field(static=True, default=False)
-    draws: int = eqx.field(static=True, default=4)
-    seed: int = eqx.field(static=True, default=0)
-    objective: Literal["mean", "worst"] = eqx.field(static=True, default="mean")
-    delay: float = eqx.field(static=True, default=0.0)
-
-
-class LineWeight(NamedTuple):
-    """Weight of a section of a program.
-
-    Attributes:
-        first: Its first line.
-        last: Its last line.
-        weight: Weight of the error in its rows [-].
-    """
-
-    first: int
-    last: int
-    weight: float
-
-
-class CorrectionSettings(eqx.Module):
-    """Settings of a correction.
-
-    Attributes:
-        objective: "path" (contour error of the tip) or "surface" (signed error of the
-            machined surface).
-        method: Method whose result is written as the corrected program.
-        compare: "all" to run every method, the baselines' grids included; "few" for the
-            one-shot mirror and the inverse drive beside the one asked for.
-        command: "tip" positions (what a program carries) or "joint" angles.
-        knot_spacing: Spacing of the B-spline knots [s], the controller's bandwidth.
-        max_offset: Largest offset of the command from the desired path [m], per axis.
-        max_velocity: Largest velocity of the command per axis [m/s], or infinite.
-        max_acceleration: Largest acceleration of it per axis [m/s^2], or infinite.
-        acceleration_factor: How many times as much as the program, at its largest on
-            any axis, it may accelerate on every axis; infinite for any.
-        gouge: Largest depth to which the machined surface may lie below the ideal one
-            [m], or infinite.
-        stay_in_cut: Whether the tool must cut at least a tenth of every layer that the
-            program lets it cut to the final surface.
-        uncertainty: How well the model is known; the mean square error over draws of it
-            becomes small, or that of the worst. None to trust the model.
-        tolerance: Error that may remain [m]; half of it does not count.
-        tolerance_band: Contour error that the result is held against [m], which does
-            not change it; 0 for no verdict.
-        sections: Sections of the program with weights of their own.
-        finishing_only: Whether only rows that leave a part of the surface count.
-        wall_weight: Weight of the walls, for the surface.
-        floor_weight: Weight of the floors, for the surface.
-        max_steps: Steps of the optimiser at most.
-        start_spread: Standard deviation of random offsets at the knots that are added
-            to the command which the optimiser starts from [m].
-        start_seed: Seed of these offsets.
-        horizon: Rows that are corrected at once; "auto" takes a whole path of at most
-            6000 rows, and segments of 2000 rows of a longer one.
-        overlap: Rows at the end of a segment that the next one corrects once more;
-            "auto" takes 32 knots and what the controller looks ahead, and half of the
-            horizon at most.
-    """
-
-    objective: Literal["path", "surface"] = eqx.field(static=True, default="path")
-    method: Literal[
-        "gauss_newton",
-        "adam",
-        "mirror",
-        "mirror_iterated",
-        "input_shaper",
-        "inverse_drive",
-    ] = eqx.field(static=True, default="gauss_newton")
-    compare: Literal["few", "all"] = eqx.field(static=True, default="few")
-    command: Literal["tip", "joint"] = eqx.field(static=True, default="tip")
-    knot_spacing: float = eqx.field(static=True, default=30e-3)
-    max_offset: RealScalarLike = 1e-3
-    max_velocity: float = eqx.field(static=True, default=float("inf"))
-    max_acceleration: float = eqx.field(static=True, default=float("inf"))
-    acceleration_factor: float = eqx.field(static=True, default=float("inf"))
-    gouge: float = eqx.field(static=True, default=float("inf"))
-    stay_in_cut: bool = eqx.field(static=True, default=False)
-    uncertainty: UncertaintySettings | None = None
-    tolerance: RealScalarLike = 0.0
-    tolerance_band: RealScalarLike = 0.0
-    sections: tuple[LineWeight, ...] = eqx.field(static=True, default=())
-    finishing_only: bool = eqx.field(static=True, default=False)
-    wall_weight: RealScalarLike = 1.0
-    floor_weight: RealScalarLike = 1.0
-    max_steps: int = eqx.field(static=True, default=2)
-    start_spread: float = eqx.field(static=True, default=0.0)
-    start_seed: int = eqx.field(static=True, default=0)
-    horizon: int | Literal["auto"] = eqx.field(static=True, default="auto")
-    overlap: int | Literal["auto"] = eqx.field(static=True, default="auto")
 
 
 class OutputSettings(eqx.Module):

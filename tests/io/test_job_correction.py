@@ -10,6 +10,7 @@ from diffmill import (
     UncertaintySettings,
     load_job,
 )
+from diffmill.settings.correction import SurfaceErrorSettings
 from small_job import PROGRAM, problems_of, small_job
 
 LEANING = "time_s,x_mm,y_mm,z_mm,i,j,k\n0,-9,4,9,0,0.6,0.8\n0.1,-8,4,9,0,0.6,0.8\n"
@@ -94,8 +95,8 @@ def test_values_become_settings_in_si(settings_of):
     assert settings.max_velocity == pytest.approx(0.06)
     assert settings.max_acceleration == pytest.approx(2.0)
     assert settings.sections == ((2, 30, 0.0), (3, 3, 2.5))
-    assert (settings.objective, settings.finishing_only) == ("surface", True)
-    assert (settings.wall_weight, settings.floor_weight) == (1.0, 0.0)
+    assert settings.objective == SurfaceErrorSettings(floor_weight=0.0)
+    assert settings.finishing_only
 
 
 def test_defaults(settings_of):
@@ -108,6 +109,13 @@ def test_defaults(settings_of):
     )
     assert settings_of('method = "adam"').max_steps == 60
     assert settings_of('method = "adam"', "max_steps = 7").max_steps == 7
+
+
+def test_a_weight_of_the_surface_has_no_effect_on_the_path(job_file):
+    job = load_job(job_file("wall_weight = 0.5"))
+    assert job.correction.objective.name == "path"
+    (note,) = [note for note in job.notes if "wall_weight" in note]
+    assert note.endswith('works with objective = "surface" only')
 
 
 def test_a_section_without_moves_is_refused(problems):

@@ -7,11 +7,11 @@ from collections.abc import Iterator
 from typing import Literal, NamedTuple
 
 from .._toml import JobError, read_toml
+from ..settings.tables import validated
 from ._campaign.draws import drawn_values, scaled
 from ._campaign.schema import CampaignTable, SweepTable
 from ._changes import Tables, changed, value_at
 from ._schema.job import read_tables
-from ._schema.table import validated
 
 
 class Variation(NamedTuple):

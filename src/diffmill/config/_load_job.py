@@ -16,8 +16,11 @@ from .._types import FloatRows3
 from ..cutter import AbstractCutter, ToolHolder
 from ..process import Immersion, default_element_height
 from ..robot import Controller, Robot, TipModes
+from ..settings.correction import CorrectionSettings
+from ..settings.tables import idle_keys
 from ..toolpath import Path, Program, TimedProgram
 from ._build.context import FileContext
+from ._build.correction import check_correction, completed_correction
 from ._build.machine import fastest_mode, read_machine
 from ._build.program import (
     check_sections,
@@ -49,7 +52,6 @@ from ._check.notes import immersion, notes, rate_notes
 from ._check.ranges import range_notes
 from ._check.rapids import check_overhang, check_rapids
 from ._check.reach import ReachCheck
-from ._schema.correction import check_correction, correction_settings
 from ._schema.cutter import make_cutter, make_holder
 from ._schema.job import (
     JobTables,
@@ -109,6 +111,13 @@ def load_job(
         text = f"{text}\n{changes_text(changes)}"
     tables = read_tables(raw, context.problems)
     context.notes.extend(range_notes(raw))
+    if tables.correction is not None:
+        context.notes.extend(
+            f"[correction] {key}: without effect, since it works with {other} only"
+            for key, other in idle_keys(
+                CorrectionSettings, raw.get("correction")
+            ).items()
+        )
     if tables.program is None:
         _check_program(raw.get("program"), context)
     # A speed that is asked for beside the file counts before the program's.
@@ -468,7 +477,7 @@ def _assemble(
         joint_start=parts.joint_start,
         tool_rotation="free" if _is_free(robot) else "fixed",
         simulation=simulation,
-        correction=correction_settings(
+        correction=completed_correction(
             correction, is_recorded=isinstance(program, Path)
         ),
         source=text,
@@ -562,7 +571,7 @@ def _simulation(
         )
     # A default below it has no effect on a job that is not corrected.
     knots = tables.correction
-    if knots is not None and "knot_spacing" in knots.model_fields_set:
+    if knots is not None and "correction.knot_spacing" in tables.stated:
         if knots.knot_spacing < period:
             problems.append(
                 f"[correction] knot_spacing: found {knots.knot_spacing * 1e3:g} ms, "
@@ -574,7 +583,7 @@ def _simulation(
         check_modes(fastest, period / substeps, context.notes)
     if tables.correction is not None:
         check_correction(tables.correction, cutter, not axes, problems, mode=table.mode)
-        check_sections(tables.correction.weight, parts.program, problems)
+        check_sections(tables.correction.sections, parts.program, problems)
     return SimulationSettings(
         angles=angles,
         substeps=substeps,

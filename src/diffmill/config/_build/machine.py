@@ -6,7 +6,7 @@ from ..._toml import JobError, read_toml
 from ...robot import TipModes, rpy_matrix
 from .._check.ranges import range_notes
 from .._schema.machine import MachineTable, ModesFile, ModeTable
-from .._schema.table import validated
+from ...settings.tables import validated
 from .context import FileContext
 
 # A mode of a smaller share of the tip's compliance needs no sub-steps of its own.

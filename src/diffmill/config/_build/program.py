@@ -12,6 +12,7 @@ from ... import io
 from ..._types import FloatRows3
 from ...io import PROGRAM_FORMATS, ProgramError, ProgramSetup
 from ...robot import Robot
+from ...settings.correction import LineWeight
 from ...toolpath import (
     Path,
     Point,
@@ -19,7 +20,6 @@ from ...toolpath import (
     TimedProgram,
     TimingLimits,
 )
-from .._schema.correction import WeightTable
 from .._schema.job import ProgramTable
 from .context import FileContext
 
@@ -164,7 +164,7 @@ def commanded_tips(
 
 
 def check_sections(
-    sections: Sequence[WeightTable],
+    sections: Sequence[LineWeight],
     program: Program | Path | None,
     problems: list[str],
 ) -> None:
@@ -185,7 +185,7 @@ def check_sections(
         f"[correction] weight.lines: found [{first}, {last}], but the first and the "
         "last line of a section in which the program moves are required; its moves "
         f"are those of lines {lines.min()} to {lines.max()}"
-        for first, last in (section.lines for section in sections)
+        for first, last, _ in sections
         if not np.any((first <= lines) & (lines <= last))
     )
 

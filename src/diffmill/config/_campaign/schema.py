@@ -4,8 +4,8 @@ from typing import Annotated, Literal, TypeAlias
 
 from pydantic import Field, StrictBool, StrictInt, StrictStr
 
-from .._schema.fields import Tolerance, Uncertainty
-from .._schema.table import TomlTable
+from ...settings.fields import Tolerance, Uncertainty
+from ...settings.tables import TomlTable
 
 Key: TypeAlias = Annotated[StrictStr, Field(min_length=1)]
 Number: TypeAlias = Annotated[StrictInt, Field(ge=0)]

@@ -7,8 +7,8 @@ from pydantic import Field
 
 from ...identification import ControllerStudy
 from ...io import ProgramError, read_path_csv
+from ...settings.tables import TomlTable
 from ...toolpath import Path
-from .._schema.table import TomlTable
 from .context import Context
 from .fields import File
 from .kind import IdentificationKind

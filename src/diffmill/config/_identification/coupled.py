@@ -9,8 +9,8 @@ from pydantic import Field, StrictBool, StrictStr
 from ..._job import Job
 from ...identification import CoupledStudy
 from ...io import Quantity, TableReader
+from ...settings.fields import Time
 from ...units import FORCE, LENGTH
-from .._schema.fields import Time
 from .context import Context
 from .fields import File
 from .kind import IdentificationKind

@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field, StrictStr
 
-from .._schema.fields import Time
+from ...settings.fields import Time
 
 
 def _axes(value: object) -> object:

@@ -9,7 +9,7 @@ from pydantic import Field
 from ... import units as q
 from ...identification import FrequencyResponse, ModeStudy
 from ...io import Quantity, TableReader
-from .._schema.fields import Frequency
+from ...settings.fields import Frequency
 from .._schema.machine import Direction
 from .context import Context
 from .fields import File

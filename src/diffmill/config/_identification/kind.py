@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from typing import TypeAlias, TypeVar
 
 from ...identification import Study
-from .._schema.table import TomlTable, validated
+from ...settings.tables import TomlTable, validated
 
 _Toml = TypeVar("_Toml", bound=TomlTable)
 # Classes of tables by their names; in a list that of the entries of a list of tables.

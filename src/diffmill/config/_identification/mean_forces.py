@@ -14,9 +14,9 @@ from ...identification import (
     StraightCut,
 )
 from ...io import Quantity, RecordError, TableReader
+from ...settings.fields import Force, PositiveLength
 from ...units import FORCE, LENGTH
 from .._schema.cutter import CutterTable
-from .._schema.fields import Force, PositiveLength
 from .._schema.job import SpindleTable
 from .context import Context
 from .kind import IdentificationKind

@@ -10,7 +10,7 @@ from pydantic import Field, StrictInt, StrictStr
 from ...identification import FrequencyResponse, ModeStudy, RingDown
 from ...io import TableReader, parse_pose
 from ...robot import Robot
-from .._schema.fields import Frequency
+from ...settings.fields import Frequency
 from .context import Context
 from .robot import StudiedRobotTable, read_tool_robot
 from .schema import MeasuredTable

@@ -5,7 +5,7 @@ from pydantic import Field
 
 from ...identification import ModeStudy, RingDown
 from ...io import Quantity, TableReader
-from .._schema.fields import Frequency, Time
+from ...settings.fields import Frequency, Time
 from .context import Context
 from .fields import File
 from .kind import IdentificationKind

@@ -5,11 +5,11 @@ from pydantic import Field, StrictStr
 
 from ... import units as q
 from ...robot import Robot
+from ...settings.fields import Damping, Stiffness
+from ...settings.tables import TomlTable
 from .._build.robot import pose_matrix
 from .._build.robot_file import load_robot
-from .._schema.fields import Damping, Stiffness
 from .._schema.job import PoseTable, RobotTable
-from .._schema.table import TomlTable
 from .context import Context
 from .fields import File
 

@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, StrictBool, StrictInt, StrictStr
 
-from .._schema.fields import (
+from ...settings.fields import (
     Angle,
     Frequency,
     PositiveLength,
@@ -12,7 +12,7 @@ from .._schema.fields import (
     SpindleSpeed,
     Time,
 )
-from .._schema.table import TomlTable
+from ...settings.tables import TomlTable
 from .fields import AxesOrProposed, Channels, CutNumber, File, Side, Span
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from pydantic import Field, StrictBool
 
-from .fields import (
+from ...settings.fields import (
     Density,
     Inertia,
     Lengths3,
@@ -20,7 +20,7 @@ from .fields import (
     RotaryStiffness,
     Share,
 )
-from .table import TomlTable
+from ...settings.tables import TomlTable
 
 if TYPE_CHECKING:
     from ...cutter import AbstractCutter

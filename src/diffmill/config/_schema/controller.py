@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from pydantic import Field
 
-from .fields import (
+from ...settings.fields import (
     DampingRatio,
     Delay,
     Frequency,
@@ -17,7 +17,7 @@ from .fields import (
     JointRatio,
     PositiveTime,
 )
-from .table import TomlTable, validated
+from ...settings.tables import TomlTable, validated
 
 if TYPE_CHECKING:
     from ...robot import Controller

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import pydantic
 from pydantic import Field, StrictInt
 
-from .fields import Angle, PositiveLength, Tolerance
-from .table import TomlTable
+from ...settings.fields import Angle, PositiveLength, Tolerance
+from ...settings.tables import TomlTable
 
 if TYPE_CHECKING:
     from ...cutter import EndMill, ToolHolder

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import numpy as np
 from pydantic import Field, StrictStr, field_validator
 
-from .fields import (
+from ...settings.fields import (
     PositiveLength,
     ToothEdgeForce,
     ToothExponent,
     ToothPositivePressure,
     ToothPressure,
 )
-from .table import TomlTable, validated
+from ...settings.tables import TomlTable, validated
 
 if TYPE_CHECKING:
     from ...cutter import AbstractCutter

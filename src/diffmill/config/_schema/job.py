@@ -11,11 +11,9 @@ from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias, TypeVar
 
 from pydantic import Field, StrictBool, StrictInt, StrictStr
 
-from .compliance import BendingToolTable, FlangeSpringTable
-from .controller import ControllerTable, read_controller
-from .correction import CorrectionTable
-from .cutter import CutterTable
-from .fields import (
+from ...settings.base import Settings
+from ...settings.correction import CorrectionSettings
+from ...settings.fields import (
     Acceleration,
     Angles3,
     Damping,
@@ -30,9 +28,12 @@ from .fields import (
     Tolerance,
     Uncertainty,
 )
+from ...settings.tables import TomlTable, meant_by, read_settings, validated
+from .compliance import BendingToolTable, FlangeSpringTable
+from .controller import ControllerTable, read_controller
+from .cutter import CutterTable
 from .force import ForceTables, read_force
 from .machine import MachineTable, is_machine
-from .table import TomlTable, meant_by, validated
 
 if TYPE_CHECKING:
     from ..._job import OutputSettings
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
 
 _Table = TypeVar("_Table")
 _Toml = TypeVar("_Toml", bound=TomlTable)
+_Settings = TypeVar("_Settings", bound=Settings)
 CoordinateSystem: TypeAlias = Literal[
     "G54", "G55", "G56", "G57", "G58", "G59", "G59.1", "G59.2", "G59.3"
 ]
@@ -445,6 +447,7 @@ class JobTables:
         simulation: `[simulation]`.
         correction: `[correction]`.
         output: `[output]`.
+        stated: Keys that the file states, such as "cutter.teeth".
     """
 
     cutter: CutterTable | None
@@ -456,8 +459,9 @@ class JobTables:
     machine: MachineTable | None
     controller: ControllerTable | None
     simulation: SimulationTable | None
-    correction: CorrectionTable | None
+    correction: CorrectionSettings | None
     output: OutputTable | None
+    stated: frozenset[str]
 
 
 def read_tables(raw: Mapping[str, object], problems: list[str]) -> JobTables:
@@ -473,7 +477,7 @@ def read_tables(raw: Mapping[str, object], problems: list[str]) -> JobTables:
             "[machine]: found beside [robot], but a job has either: modes of a spindle "
             "on an arm are those of [robot.flange_spring] and [robot.bending_tool]"
         )
-    names = [field.name for field in dataclasses.fields(JobTables)]
+    names = [f.name for f in dataclasses.fields(JobTables) if f.name != "stated"]
     allowed = ", ".join(f"[{name}]" for name in names)
     for name in raw:
         if name not in names:
@@ -493,6 +497,11 @@ def read_tables(raw: Mapping[str, object], problems: list[str]) -> JobTables:
             name, lambda found, faults: validated(kind, found, f"[{name}]", faults)
         )
 
+    def settings(kind: type[_Settings]) -> _Settings | None:
+        return read(
+            kind.table, lambda found, faults: read_settings(kind, found, faults)
+        )
+
     # In the order in which faults are listed.
     return JobTables(
         cutter=table("cutter", CutterTable),
@@ -504,8 +513,14 @@ def read_tables(raw: Mapping[str, object], problems: list[str]) -> JobTables:
         machine=table("machine", MachineTable),
         controller=read("controller", read_controller),
         simulation=table("simulation", SimulationTable),
-        correction=table("correction", CorrectionTable),
+        correction=settings(CorrectionSettings),
         output=table("output", OutputTable),
+        stated=frozenset(
+            f"{name}.{key}"
+            for name, keys in raw.items()
+            if isinstance(keys, Mapping)
+            for key in keys
+        ),
     )
 
 

@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Float
 from pydantic import Field, StrictFloat, StrictInt, StrictStr
 
-from .fields import Angles3, DampingRatio, Frequency, LinearStiffness, Mass
-from .table import TomlTable
+from ...settings.fields import Angles3, DampingRatio, Frequency, LinearStiffness, Mass
+from ...settings.tables import TomlTable
 
 _AXES = ("x", "y", "z")
 # Largest component of a direction: its length is a number that can be divided by.

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..._job import LineWeight
 from ..._types import BoolSteps, IntSteps
+from ...settings.correction import LineWeight
 from ...workpiece import Rays, Stock
 
 # Weight of a row that only passes over the surface: enough that the command does not

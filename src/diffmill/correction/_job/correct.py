@@ -329,7 +329,7 @@ def _start_on_path(
     assert task.surface is not None
     rows = task.surface.touching_rows(np.asarray(problem.desired))
     rows = rows.astype(problem.is_cutting.dtype)
-    if task.job.correction.objective == "path":
+    if task.job.correction.objective.counts_contact:
         rows = np.maximum(problem.is_cutting, rows)
     touching = dataclasses.replace(problem, is_cutting=rows)
     name = "start_on_path"

@@ -1,13 +1,13 @@
 """From the settings of a job to weights, objective and surface of its correction."""
 
-from typing import assert_never
-
 import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float
 
 from ..._job import Job
 from ..._types import BoolSteps
+from ...settings.base import builds
+from ...settings.correction import PathErrorSettings, SurfaceErrorSettings
 from ...sim import Run
 from .._core.method import MethodResult
 from .._core.path_objective import AbstractObjective, PathObjective
@@ -42,7 +42,7 @@ def job_weights(
     # The next ray is a spacing away, in which the tool may advance by several rows.
     spread = int(np.ceil(job.stock.spacing / max(feed, 1e-2 * job.stock.spacing)))
     is_touching = None
-    if surface is not None and settings.objective == "path":
+    if surface is not None and settings.objective.counts_contact:
         is_touching = surface.touching_rows(np.asarray(job.path.positions))
     return row_weights(
         is_cutting,
@@ -124,14 +124,40 @@ def job_objective(
 ) -> AbstractObjective:
     """Objective that `[correction]` asks for, with the weights of the rows.
 
+    Args:
+        job: The job.
+        surface: The surface as it should be; None where it is not of walls and floors.
+        weights: Weights of the rows, shape (step,).
+
     Raises:
         UnsuitableSettings: A surface is asked for where there is none.
+        ValueError: What the settings build is no objective.
     """
-    settings = job.correction
-    if settings.objective == "path":
-        return PathObjective(_AIMED * settings.tolerance)
-    if settings.objective != "surface":
-        assert_never(settings.objective)
+    objective = job.correction.objective.build(job, surface, weights)
+    if not isinstance(objective, AbstractObjective):
+        raise ValueError(
+            f"Argument `job` must have an objective, but builds {objective!r}."
+        )
+    return objective
+
+
+@builds(PathErrorSettings)
+def _path_objective(
+    settings: PathErrorSettings,
+    job: Job,
+    surface: FinishedSurface | None,
+    weights: Float[np.ndarray, " step"],
+) -> PathObjective:
+    return PathObjective(_AIMED * job.correction.tolerance)
+
+
+@builds(SurfaceErrorSettings)
+def _surface_objective(
+    settings: SurfaceErrorSettings,
+    job: Job,
+    surface: FinishedSurface | None,
+    weights: Float[np.ndarray, " step"],
+) -> SurfaceObjective:
     if surface is None:
         raise UnsuitableSettings(
             'Argument `job` must have the objective "path", but has "surface", which '
@@ -141,7 +167,7 @@ def job_objective(
         surface,
         settings.wall_weight,
         settings.floor_weight,
-        _AIMED * settings.tolerance,
+        _AIMED * job.correction.tolerance,
         surface.point_shares(job.path.positions, weights),
     )
 

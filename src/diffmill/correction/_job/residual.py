@@ -4,9 +4,10 @@ import dataclasses
 
 import jax.numpy as jnp
 
-from ..._job import CorrectionSettings, Job
+from ..._job import Job
 from ..._types import RealScalarLike
 from ...process import ThroughPoses
+from ...settings.correction import CorrectionSettings
 from ...sim import simulate_with_slot_growth
 from .._core.path_objective import (
     AbstractObjective,

@@ -14,9 +14,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PyTree
 
-from ..._job import CorrectionSettings
 from ..._result import RESULTS
 from ..._types import FloatRows
+from ...settings.correction import CorrectionSettings
 from .._core.method import AbstractMethod, MethodResult, OnProgress, corrected
 from .._core.path_objective import AbstractObjective, PathObjective
 from .._core.problem import Problem

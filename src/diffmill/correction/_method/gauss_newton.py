@@ -6,10 +6,10 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from ..._job import CorrectionSettings
 from ..._result import RESULTS
 from ..._types import FloatRows
 from ...optimise import LeastSquaresState, LevenbergMarquardt
+from ...settings.correction import CorrectionSettings
 from .._core.method import AbstractMethod, MethodResult, OnProgress, corrected
 from .._core.path_objective import AbstractObjective, PathObjective
 from .._core.problem import Problem

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..._types import FloatRows3, RealScalarLike
+from ...settings.correction import SurfaceErrorSettings
 from .._core.path_objective import AbstractObjective, deadband, deviation_of, row_shares
 from .._core.problem import Motion, Problem
 from .finished_surface import FinishedSurface
@@ -30,8 +31,8 @@ class SurfaceObjective(AbstractObjective):
     """
 
     surface: FinishedSurface
-    wall_weight: RealScalarLike = 1.0
-    floor_weight: RealScalarLike = 1.0
+    wall_weight: RealScalarLike = SurfaceErrorSettings.wall_weight
+    floor_weight: RealScalarLike = SurfaceErrorSettings.floor_weight
     tolerance: RealScalarLike = 0.0
     shares: Float[np.ndarray, " point"] | Float[Array, " point"] | None = None
 

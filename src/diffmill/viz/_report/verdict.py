@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Literal
 import equinox as eqx
 import numpy as np
 
-from ..._job import CorrectionSettings
+from ...settings.correction import CorrectionSettings
 from .._cases import (
     case_numbers,
     chosen_case,

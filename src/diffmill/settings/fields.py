@@ -6,7 +6,7 @@ from typing import Annotated, TypeAlias
 
 from pydantic import BeforeValidator, Field, StrictInt
 
-from ... import units as q
+from .. import units as q
 
 
 def _read(kind: q.QuantityKind, *, sign: str = "any") -> Callable[[object], float]:

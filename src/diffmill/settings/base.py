@@ -1,0 +1,273 @@
+"""Classes of settings: a field per key of a job file, and strategies by their names."""
+
+import copy
+import dataclasses
+import operator
+from collections.abc import Callable, Iterable, Mapping
+from typing import (
+    TYPE_CHECKING,
+    Annotated,
+    Any,
+    ClassVar,
+    SupportsFloat,
+    TypeAlias,
+    TypeVar,
+    dataclass_transform,
+    get_args,
+    get_type_hints,
+)
+
+from pydantic import ConfigDict, GetCoreSchemaHandler
+from pydantic_core import CoreSchema, core_schema
+
+if TYPE_CHECKING:
+    from .._types import RealScalarLike
+else:
+    # Arrays too, whose classes would import JAX.
+    RealScalarLike = SupportsFloat
+
+_T = TypeVar("_T")
+_Settings = TypeVar("_Settings", bound="Settings")
+_Function = TypeVar("_Function", bound=Callable[..., object])
+_Strategy = TypeVar("_Strategy", bound="Strategy")
+_LEAF = "leaf"
+# A number that compiled programs take as an argument, so that another value compiles
+# nothing anew; a file holds what the type within says.
+Leaf: TypeAlias = Annotated[_T | RealScalarLike, _LEAF]
+
+
+@dataclasses.dataclass(frozen=True)
+class ReadAs:
+    """Annotation of a field whose value stands in a file in another form.
+
+    Attributes:
+        type: Type of the value in a file.
+        convert: Value of the field from that of the file.
+    """
+
+    type: object
+    convert: Callable[..., object]
+
+    def __get_pydantic_core_schema__(
+        self, source: object, handler: GetCoreSchemaHandler
+    ) -> CoreSchema:
+        """Schema of the value in a file, and its conversion."""
+        del source
+        inner = handler.generate_schema(self.type)
+        return core_schema.no_info_after_validator_function(self.convert, inner)
+
+
+def key(
+    description: str,
+    *,
+    default: object = dataclasses.MISSING,
+    name: str | None = None,
+    follows: bool = False,
+    works_with: Mapping[str, str] | None = None,
+    converter: Callable[[object], object] | None = None,
+) -> _T:  # pyright: ignore[reportInvalidTypeVarUse]
+    """Field of a class of settings that is a key of its table in a job file.
+
+    Args:
+        description: Meaning of the key, as the documentation and messages state it.
+        default: Value if it is left out; without one it is required.
+        name: The key, where it is not the name of the field.
+        follows: True if a key that a file leaves out follows from the rest of the job:
+            it is None until `diffmill.config` fills it in. The default is that of
+            scripts.
+        works_with: Other keys of the table, by name, with the only values beside which
+            this one may be given.
+        converter: Value of the field from that of a script.
+    """
+    metadata: dict[str, object] = {"description": description, "follows": follows}
+    if name is not None:
+        metadata["alias"] = name
+    metadata["works_with"] = dict(works_with or {})
+    metadata["converter"] = converter
+    return dataclasses.field(default=default, metadata=metadata)
+
+
+@dataclass_transform(frozen_default=True, field_specifiers=(key, dataclasses.field))
+@dataclasses.dataclass(frozen=True)
+class Settings:
+    """Base of a table of settings.
+
+    A class below it is a frozen dataclass. Its fields that are made by `key` are keys
+    of a job file; others follow from the job.
+    """
+
+    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
+    # Place of the table in a job file, such as "correction.uncertainty".
+    table: ClassVar[str] = ""
+
+    def __init_subclass__(cls, *, table: str = ""):
+        if table:
+            cls.table = table
+        dataclasses.dataclass(frozen=True)(cls)
+        if any(field.metadata.get("converter") for field in dataclasses.fields(cls)):
+            _take_keys_of_strategies(cls)
+
+    @classmethod
+    def hints(cls) -> dict[str, object]:
+        """Types of the fields, by their names."""
+        return get_type_hints(cls, include_extras=True)
+
+    @classmethod
+    def keys(cls) -> dict[str, dataclasses.Field[object]]:
+        """Fields that are keys of a file, by the names of the keys."""
+        return {
+            field.metadata.get("alias", field.name): field
+            for field in dataclasses.fields(cls)
+            if "description" in field.metadata
+        }
+
+    @classmethod
+    def choices(cls) -> Iterable[tuple[dataclasses.Field[object], "type[Strategy]"]]:
+        """Fields that hold a strategy, each with its family."""
+        for field in dataclasses.fields(cls):
+            kind = cls.hints()[field.name]
+            if isinstance(kind, type) and issubclass(kind, Strategy):
+                yield field, kind
+
+    def misplaced(self) -> Iterable[str]:
+        """Faults of keys beside values of others with which they do not work."""
+        own = self.keys()
+        for name, field in own.items():
+            unset = None if field.metadata["follows"] else field.default
+            if getattr(self, field.name) == unset:
+                continue
+            for other, allowed in field.metadata["works_with"].items():
+                found = getattr(self, own[other].name)
+                found = found.name if isinstance(found, Strategy) else found
+                if found != allowed:
+                    yield (
+                        f'{name}: found beside {other} = "{found}", but it works with '
+                        f'{other} = "{allowed}" only'
+                    )
+
+    def leaf_names(self) -> tuple[str, ...]:
+        """Names of the fields that are leaves; of a strategy's with a dot."""
+        hints, names = self.hints(), []
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            if _LEAF in getattr(hints[field.name], "__metadata__", ()):
+                names.append(field.name)
+            elif isinstance(value, Settings):
+                names.extend(f"{field.name}.{name}" for name in value.leaf_names())
+        return tuple(names)
+
+    def leaves(self) -> list[object]:
+        """Values of the leaves, in the order of their names."""
+        return [operator.attrgetter(name)(self) for name in self.leaf_names()]
+
+    def with_leaves(self: _Settings, values: Iterable[object]) -> _Settings:
+        """Settings with other leaves, in the order of their names, not checked."""
+        changed = copy.copy(self)
+        for name, value in zip(self.leaf_names(), values, strict=True):
+            owner = changed
+            *path, last = name.split(".")
+            for step in path:
+                inner = copy.copy(getattr(owner, step))
+                object.__setattr__(owner, step, inner)
+                owner = inner
+            object.__setattr__(owner, last, value)
+        return changed
+
+
+class Strategy(Settings):
+    """Base of the families of strategies.
+
+    A class directly below it is a family, such as the objectives of a correction. One
+    below a family is a choice, `name` the word for it in a job file; its keys stand in
+    the family's table.
+
+    Attributes:
+        name: Name of a strategy in a job file.
+        members: Classes of a family by their names.
+        builder: What `builds` has registered for a strategy.
+    """
+
+    name: ClassVar[str] = ""
+    members: ClassVar[dict[str, "type[Strategy]"]] = {}
+    builder: ClassVar[Callable[..., object] | None] = None
+
+    def __init_subclass__(cls, *, name: str = "", table: str = ""):
+        super().__init_subclass__(table=table)
+        if Strategy in cls.__bases__:
+            cls.members = {}
+        if name:
+            cls.name = name
+            cls.members[name] = cls
+
+    @classmethod
+    def named(cls: type[_Strategy], name: object) -> type[_Strategy]:
+        """Class of a strategy of this family.
+
+        Raises:
+            ValueError: There is none of this name.
+        """
+        found = cls.members.get(name) if isinstance(name, str) else None
+        if found is not None and issubclass(found, cls):
+            return found
+        *most, last = (repr(one) for one in cls.members)
+        allowed = f"{', '.join(most)} or {last}" if most else last
+        raise ValueError(f"found {name!r}; allowed: {allowed}")
+
+    @classmethod
+    def of(cls: type[_Strategy], value: object) -> _Strategy:
+        """Settings of a strategy, given themselves or by a name."""
+        return value if isinstance(value, cls) else cls.named(value)()
+
+    def build(self, *parts: object) -> object:
+        """The strategy, made by its builder from these settings and parts of the job.
+
+        Raises:
+            ValueError: The strategy has no builder.
+        """
+        if type(self).builder is None:
+            raise ValueError(
+                f"Argument `settings` must have a builder, but {self!r} has none: see "
+                "`diffmill.settings.base.builds`."
+            )
+        return type(self).builder(self, *parts)
+
+
+def builds(kind: type[Strategy]) -> Callable[[_Function], _Function]:
+    """Register the function that makes a strategy from its settings.
+
+    Args:
+        kind: Class of the settings.
+
+    Returns:
+        A decorator of the function, which takes the settings and the parts of a job
+        that its family names.
+    """
+
+    def register(function: _Function) -> _Function:
+        kind.builder = staticmethod(function)
+        return function
+
+    return register
+
+
+def _take_keys_of_strategies(kind: type[Settings]) -> None:
+    """Let a class be made from names of strategies, and with their keys."""
+    make = kind.__init__
+
+    def __init__(self: Settings, *args: object, **values: Any) -> None:
+        for field, _ in kind.choices():
+            chosen = field.metadata["converter"](values.get(field.name, field.default))
+            names = [own.name for own in dataclasses.fields(chosen)]
+            own = {name: values.pop(name) for name in names if name in values}
+            values[field.name] = dataclasses.replace(chosen, **own)
+        make(self, *args, **values)
+
+    __init__.__doc__ = make.__doc__
+    kind.__init__ = __init__
+
+
+def file_type(hint: object) -> object:
+    """Type of the value that a file holds for a field, with its validation."""
+    if _LEAF in getattr(hint, "__metadata__", ()):
+        return get_args(get_args(hint)[0])[0]
+    return hint
