@@ -33,7 +33,13 @@ TABLES = (
 
 
 # Families of strategies, each with the key that names one.
-FAMILIES = {"ObjectiveSettings": "[correction] objective"}
+FAMILIES = {
+    "ChipSettings": "[simulation] chip",
+    "ForceLawSettings": "[force] law",
+    "IntegratorSettings": "[simulation] integrator",
+    "MethodSettings": "[correction] method",
+    "ObjectiveSettings": "[correction] objective",
+}
 
 
 class Kind(NamedTuple):
@@ -64,6 +70,7 @@ KINDS = {
     "Direction": Kind("three numbers"),
     "Factor": Kind("number of at least 1, or inf"),
     "File": Kind("name of a file"),
+    "Formats": Kind('list: `"gcode"`, `"krl"`, `"rapid"` or `"apt"`'),
     "Frequency": Kind("frequency above 0", "Hz"),
     "Jerk": Kind("jerk above 0", "m/s^3"),
     "JointFrequency": Kind("frequency above 0, or one per joint", "Hz"),
@@ -84,6 +91,7 @@ KINDS = {
     "Span": Kind('two times or `"none"`', "s"),
     "SpindleSpeed": Kind("rotational speed above 0", "rad/s"),
     "Sections": Kind("list of tables"),
+    "Stability": Kind('true or false or `"quick"`'),
     "StrictBool": Kind("true or false"),
     "StrictInt": Kind("whole number"),
     "StrictStr": Kind("text"),

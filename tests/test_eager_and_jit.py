@@ -1021,7 +1021,7 @@ LEFT_OUT = {
         "workpiece.RemovedPieces.of_pass",
         "workpiece.ToothPass.*",
     ),
-    "a type": ("process.ChipModel", "robot.ToolRotation", "toolpath.Point"),
+    "a type": ("robot.ToolRotation", "toolpath.Point"),
 }
 
 

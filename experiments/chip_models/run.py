@@ -30,7 +30,7 @@ from references import circles
 
 jax.config.update("jax_enable_x64", True)
 
-MODELS: tuple[dm.process.ChipModel, ...] = ("near_far", "point_cloud")
+MODELS: tuple[str, ...] = ("near_far", "point_cloud")
 COLOURS = {"near_far": "#009E73", "point_cloud": "#D55E00"}
 LABELS = {
     "near_far": "circles of earlier poses (near_far)",
@@ -55,7 +55,7 @@ LAW = dm.cutting.LinearEdgeLaw(
 
 
 @functools.cache
-def compiled(chip: dm.process.ChipModel) -> Callable:
+def compiled(chip: str) -> Callable:
     """Return the process alone with one chip model, compiled, all else at defaults."""
     mill = dm.cutter.flat_end_mill(DIAMETER, 2)
 
@@ -90,9 +90,7 @@ def path(radial_depth: float, along: float = 0.0) -> np.ndarray:
     return np.column_stack([x, np.full(STEPS, y), np.full(STEPS, -DEPTH)])
 
 
-def steady(
-    chip: dm.process.ChipModel, positions: np.ndarray, stock: dm.workpiece.Stock
-) -> np.ndarray:
+def steady(chip: str, positions: np.ndarray, stock: dm.workpiece.Stock) -> np.ndarray:
     """Return the mean force of every steady tooth period [N], shape (period, 3)."""
     solution = compiled(chip)(positions, stock)
     if not bool(solution.result == dm.RESULTS.successful):

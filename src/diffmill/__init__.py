@@ -35,8 +35,6 @@ if TYPE_CHECKING:
     from ._jax_config import use_compile_cache as use_compile_cache
     from ._job import (
         Job as Job,
-        ScatterSettings as ScatterSettings,
-        SimulationSettings as SimulationSettings,
     )
     from ._result import RESULTS as RESULTS, SimulationFailed as SimulationFailed
     from ._toml import JobError as JobError
@@ -46,6 +44,10 @@ if TYPE_CHECKING:
         CorrectionSettings as CorrectionSettings,
         LineWeight as LineWeight,
         UncertaintySettings as UncertaintySettings,
+    )
+    from .settings.simulation import (
+        ScatterSettings as ScatterSettings,
+        SimulationSettings as SimulationSettings,
     )
     from .sim import Solution as Solution, simulate as simulate, stack as stack
 
@@ -79,9 +81,9 @@ _NAMES = {
     "LineWeight": "settings.correction",
     "JobError": "_toml",
     "RESULTS": "_result",
-    "ScatterSettings": "_job",
+    "ScatterSettings": "settings.simulation",
     "SimulationFailed": "_result",
-    "SimulationSettings": "_job",
+    "SimulationSettings": "settings.simulation",
     "Solution": "sim",
     "UncertaintySettings": "settings.correction",
     "correct": "correction",

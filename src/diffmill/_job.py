@@ -8,7 +8,7 @@ and the error that lists every fault are in `diffmill.config`.
 import dataclasses
 import math
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -23,7 +23,9 @@ from .cutting import AbstractForceLaw
 from .robot import Controller, Robot, TipModes, ToolRotation
 from .settings.base import Settings
 from .settings.correction import CorrectionSettings
-from .toolpath import Path, Point, ProgramTiming
+from .settings.output import OutputSettings
+from .settings.simulation import SimulationSettings
+from .toolpath import Path, ProgramTiming
 from .workpiece import Stock
 
 
@@ -39,103 +41,8 @@ def _register(kind: type[Settings]) -> None:
     register_pytree_with_keys(kind, flatten, Settings.with_leaves)
 
 
-_register(CorrectionSettings)
-
-
-class ScatterSettings(eqx.Module):
-    """Relative standard deviations of the model's parameters, each on its own.
-
-    Attributes:
-        stiffness: Of every joint's stiffness.
-        damping: Of every joint's damping.
-        force: Of every force coefficient.
-    """
-
-    stiffness: float = eqx.field(static=True, default=0.0)
-    damping: float = eqx.field(static=True, default=0.0)
-    force: float = eqx.field(static=True, default=0.0)
-
-
-class SimulationSettings(eqx.Module):
-    """Settings of a simulation.
-
-    Attributes:
-        angles: Samples of the immersion angle per revolution; a multiple of teeth x
-            substeps.
-        substeps: Steps of the robot within one tooth period.
-        updates_per_period: Engagement updates of a tooth period.
-        element_height: Height dz of a disc of the cutter [m].
-        axial_depth: Deepest immersion that the discs reach [m].
-        precision: "float64" or "float32".
-        is_gravity_compensated: Whether the controller lifts the gravity sag.
-        plunges: Whether the path descends in material.
-        has_bottom: Whether bottom edges cut where the tool descends.
-        axes: Directions of the tool that occur, rounded; empty if it stands along +z
-            and the bending arm is not to tilt it.
-        chip: Chip model, "near_far" or "point_cloud" (hard, as in the paper).
-        integrator: Rule of the robot's sub-steps, "midpoint" or "rk4" (explicit, to
-            verify the other by).
-        dynamics: Algorithm of the robot's dynamics, "crba" or "aba".
-        mode: "dynamic", or "quasistatic": springs balance the mean force of each
-            tooth period, without inertia.
-        has_sensitivity: Whether the command line adds maps of the sensitivity.
-        scatter: How far the machine may be from the model; the command line adds the
-            error to be expected then. None if it is not known.
-        stability: How the command line looks for chatter after a run: "quick", where
-            the cut is deepest, and it says nothing of a stable one; "full", along the
-            path; or "none".
-    """
-
-    angles: int = eqx.field(static=True)
-    substeps: int = eqx.field(static=True)
-    element_height: float = eqx.field(static=True)
-    axial_depth: float = eqx.field(static=True)
-    precision: Literal["float64", "float32"] = eqx.field(static=True, default="float64")
-    is_gravity_compensated: bool = eqx.field(static=True, default=True)
-    plunges: bool = eqx.field(static=True, default=False)
-    has_bottom: bool = eqx.field(static=True, default=False)
-    axes: tuple[tuple[float, float, float], ...] = eqx.field(static=True, default=())
-    chip: Literal["near_far", "point_cloud"] = eqx.field(
-        static=True, default="near_far"
-    )
-    integrator: Literal["midpoint", "rk4"] = eqx.field(static=True, default="midpoint")
-    dynamics: Literal["crba", "aba"] = eqx.field(static=True, default="crba")
-    mode: Literal["dynamic", "quasistatic"] = eqx.field(static=True, default="dynamic")
-    has_sensitivity: bool = eqx.field(static=True, default=False)
-    stability: Literal["quick", "full", "none"] = eqx.field(
-        static=True, default="quick"
-    )
-    updates_per_period: int = eqx.field(static=True, default=1)
-    scatter: ScatterSettings | None = None
-
-
-class OutputSettings(eqx.Module):
-    """How a corrected program is written.
-
-    Attributes:
-        formats: Suffixes of the programs, such as ".ngc".
-        tolerance: Largest distance of the written motion from the command at the
-            time of every row [m]; 0 writes every row.
-        cycle: Time between the rows of a stream of offsets [s]; 0 writes none.
-        max_step: How far an offset may change in a cycle [m].
-        is_spline: Whether formats that know splines (KRL) get one instead of lines.
-        moves_ends: Whether the program is also written with its own blocks, their ends
-            moved.
-        tool_axis: Axis of a controller's tool that points from the shank to the tip.
-        first_angles: A, B and C with which the program's first position is written
-            [deg], if it has them.
-    """
-
-    formats: tuple[str, ...] = eqx.field(static=True, default=(".ngc",))
-    tolerance: float = eqx.field(static=True, default=1e-6)
-    cycle: float = eqx.field(static=True, default=0.0)
-    max_step: float = eqx.field(static=True, default=float("inf"))
-    is_spline: bool = eqx.field(static=True, default=False)
-    moves_ends: bool = eqx.field(static=True, default=False)
-    tool_axis: Literal["x", "y", "z", "-x", "-y", "-z"] = eqx.field(
-        static=True, default="z"
-    )
-    first_angles: Point | None = eqx.field(static=True, default=None)
+for _kind in (CorrectionSettings, OutputSettings, SimulationSettings):
+    _register(_kind)
 
 
 class Job(eqx.Module):

@@ -70,7 +70,7 @@ def test_defaults_of_the_simulation(write):
     # 1 mm deep, and 0.6 mm of room.
     assert settings.axial_depth == pytest.approx(1.6e-3)
     assert settings.precision == "float64"
-    assert settings.integrator == "midpoint"
+    assert settings.integrator.name == "midpoint"
     assert settings.mode == "dynamic"
 
 
@@ -107,10 +107,10 @@ def test_defaults_that_are_written_out_are_allowed(write, change, fewest):
 def test_a_job_may_ask_for_the_chip_of_the_paper(write):
     chip = {"simulation.chip": "point_cloud"}
     settings = load_job(write(chip)).simulation
-    assert settings.chip == "point_cloud"
+    assert settings.chip.name == "point_cloud"
     # Discs as high as the rays are apart.
     assert settings.element_height == pytest.approx(0.25e-3)
-    assert load_job(write()).simulation.chip == "near_far"
+    assert load_job(write()).simulation.chip.name == "near_far"
     uneven = {"cutter.helix_angle": None, "cutter.runout": "5 um"}
     assert "[simulation] chip" in problems_of(write({**chip, **uneven}))[0]
 
@@ -161,7 +161,7 @@ def test_a_tool_that_leans_a_little_is_not_upright(write, degrees):
     job = load_job(write_leaning(write(CSV), degrees))
     assert bool(job.simulation.axes) == (degrees == 0.1)
     # G-code of X, Y and Z says where an upright tool goes, and no other.
-    assert job.output.formats == ((".src",) if job.simulation.axes else (".ngc",))
+    assert job.output.suffixes == ((".src",) if job.simulation.axes else (".ngc",))
     if job.simulation.axes:
         return
     assert io.write_gcode(job.path) and io.write_program(job.path, ".ngc")

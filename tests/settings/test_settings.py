@@ -40,7 +40,7 @@ def test_numbers_are_leaves_of_the_tree():
     assert jax.tree.structure(other) == tree
     assert jax.tree.structure(CorrectionSettings()) != tree
     double = jax.jit(lambda x: jax.tree.map(lambda leaf: 2 * leaf, x))(settings)
-    assert double.objective.wall_weight == 2.0 and double.method == "gauss_newton"
+    assert double.objective.wall_weight == 2.0 and double.method.case == "corrected"
 
 
 @pytest.fixture

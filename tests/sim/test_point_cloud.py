@@ -31,7 +31,7 @@ LAW = marching.LinearLaw(989.8e6, 337.3e6, 66.9e6, 3.0e3, 15.4e3, 4.5e3)
 
 
 @functools.cache
-def compiled(chip: pr.ChipModel = "point_cloud", helix_deg=0, keeps=False):
+def compiled(chip: str = "point_cloud", helix_deg=0, keeps=False):
     mill = ct.flat_end_mill(2 * R, 2, math.radians(helix_deg)) if helix_deg else MILL
     return jax.jit(
         lambda positions, stock: sim.simulate_process(

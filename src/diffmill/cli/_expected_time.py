@@ -26,7 +26,7 @@ def expected_time_line(job: "Job") -> str:
     """
     run = _run_time(job)
     text = f"simulate about {_spelled(run)}"
-    if not job.is_rigid and job.correction.method == "gauss_newton":
+    if not job.is_rigid and job.correction.method.uses_linear_run:
         text += f", correct about {_spelled(_correction_time(job, run))}"
     if job.simulation.has_sensitivity:
         runs = _PARAMETER_RUNS * len(job.parameter_names)

@@ -110,14 +110,14 @@ def run_job(
         if is_correction and job.commanded is not None:
             raise JobError(file, [ONLY_SIMULATE])
         # G-code as it is written cannot state how the tool tilts.
-        has_gcode = ".ngc" in job.output.formats
+        has_gcode = ".ngc" in job.output.suffixes
         if is_correction and has_gcode and not job.path.is_upright:
             raise JobError(file, [NO_TILT])
     with locked_folder(folder) as unlocked:
         run = _Run(is_correction, job, folder, may_replace, progress)
         if is_correction:
             with interruption_leaves(lambda: _earlier_files(results)), bad_input():
-                if job.output.moves_ends:
+                if job.output.moved_ends:
                     run.program = JobProgram.of_job(file, allow_outside=allow_outside)
                 run.checkpoint = Checkpoint(folder, job, progress)
                 run.checkpoint.open(resume=resume, force=force)
@@ -248,7 +248,7 @@ class _Run:
 
             commanded = np.asarray(outcome.commanded, float)
             files, lines = corrected_files(job, commanded)
-            if job.output.moves_ends:
+            if job.output.moved_ends:
                 moved, moved_lines = moved_files(job, self.program, commanded)
                 files, lines = files | moved, [*lines, *moved_lines]
             for line in lines:

@@ -5,18 +5,20 @@ import math
 import os
 import pathlib
 from collections.abc import Mapping
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from .._job import Job, ScatterSettings, SimulationSettings
+from .._job import Job
 from .._toml import JobError, read_toml
 from .._types import FloatRows3
 from ..cutter import AbstractCutter, ToolHolder
 from ..process import Immersion, default_element_height
 from ..robot import Controller, Robot, TipModes
 from ..settings.correction import CorrectionSettings
+from ..settings.output import OutputSettings
+from ..settings.simulation import ChipSettings, SimulationSettings
 from ..settings.tables import idle_keys
 from ..toolpath import Path, Program, TimedProgram
 from ._build.context import FileContext
@@ -57,7 +59,6 @@ from ._schema.job import (
     JobTables,
     ProgramTable,
     RobotTable,
-    SimulationTable,
     read_tables,
 )
 
@@ -393,10 +394,10 @@ def _check_machine(tables: JobTables, problems: list[str]) -> None:
             '[correction] command: found "joint" beside [machine], but a machine of '
             "modes has no joints"
         )
-    if correction.method == "inverse_drive":
+    if correction.method.needs_robot:
         problems.append(
-            '[correction] method: found "inverse_drive" beside [machine], but it is '
-            "known of a robot alone"
+            f'[correction] method: found "{correction.method.name}" beside [machine], '
+            "but it is known of a robot alone"
         )
 
 
@@ -464,6 +465,7 @@ def _assemble(
     assert force is not None and block is not None
     assert correction is not None and output is not None
     law, bottom_law = force.laws(cutter)
+    output = _completed_output(output, tables.program, program, path)
     job = Job(
         name=name,
         cutter=cutter,
@@ -484,7 +486,7 @@ def _assemble(
         program=program.source if isinstance(program, Program) else "",
         notes=(
             *force.notes(cutter),
-            *output.notes(is_upright=path.is_upright),
+            *(f"[output] {note}" for note in output.idle()),
             *found,
             *notes(stock, path, cutter),
             *rate_notes(stock, path, cutter, parts.tooth_period),
@@ -492,19 +494,33 @@ def _assemble(
         bottom_law=bottom_law,
         holder=parts.holder,
         keeps_intervals=block.intervals is not None,
-        output=output.settings(
-            is_upright=path.is_upright,
-            tool_axis=None
-            if isinstance(program, Path) or tables.program is None
-            else tables.program.tool_axis,
-            first_angles=getattr(program, "first_angles", None),
-        ),
+        output=output,
         controller=parts.controller,
         timing=None if parts.timed is None else parts.timed.timing,
         commanded=parts.commanded,
     )
     more = end_notes(job, parts.joints)
     return dataclasses.replace(job, notes=(*job.notes, *more))
+
+
+def _completed_output(
+    output: OutputSettings,
+    table: ProgramTable | None,
+    program: Program | Path | None,
+    path: Path,
+) -> OutputSettings:
+    """Settings with the keys that a job leaves out, and the angles of its program."""
+    axis, formats = output.tool_axis, output.formats
+    if formats is None:
+        formats = ("gcode",) if path.is_upright else ("krl",)
+    if axis is None and isinstance(program, Program) and table is not None:
+        axis = table.tool_axis
+    return dataclasses.replace(
+        output,
+        formats=formats,
+        tool_axis=axis or OutputSettings.tool_axis,
+        first_angles=getattr(program, "first_angles", None),
+    )
 
 
 def _is_free(table: RobotTable | None) -> bool:
@@ -531,12 +547,12 @@ def _simulation(
         deepest = immersion(path, cutter, stock) + _ROOM
     _check_simulation(tables, cutter, deepest, problems)
     is_unknown = cutter.has_dish and (bool(axes) or not cutter.is_plain)
-    if table.bottom_edges and is_unknown:
+    if table.has_bottom and is_unknown:
         problems.append(
             "[simulation] bottom_edges: found true, but with dish_angle they are known "
             "only of a tool that stands upright, with even pitch and without run-out"
         )
-    has_bottom = table.bottom_edges
+    has_bottom = table.has_bottom
     if has_bottom is None:
         # A flat end on a machine that swings would be pressed onto every floor.
         is_rigid = robot is not None and robot.rigid
@@ -584,33 +600,22 @@ def _simulation(
     if tables.correction is not None:
         check_correction(tables.correction, cutter, not axes, problems, mode=table.mode)
         check_sections(tables.correction.sections, parts.program, problems)
-    return SimulationSettings(
+    updates = default_updates(period, substeps)
+    return dataclasses.replace(
+        table,
         angles=angles,
         substeps=substeps,
         element_height=height,
         axial_depth=depth,
-        precision=table.precision,
-        is_gravity_compensated=table.gravity_compensated,
         plunges=Immersion.is_plunging(path.positions, float(stock.upper[2])),
         has_bottom=has_bottom,
         axes=axes,
-        chip=table.chip,
-        integrator=table.integrator,
-        dynamics=table.dynamics,
-        mode=table.mode,
-        updates_per_period=default_updates(period, substeps)
-        if table.chip == "near_far"
-        else 1,
-        has_sensitivity=table.sensitivity,
-        stability=_stability(table.stability),
-        scatter=None
-        if table.scatter is None
-        else ScatterSettings(**table.scatter.model_dump()),
+        updates_per_period=updates if table.chip.updates_within_period else 1,
     )
 
 
 def _angles(
-    table: SimulationTable,
+    table: SimulationSettings,
     cutter: AbstractCutter,
     substeps: int,
     is_upright: bool,
@@ -628,13 +633,6 @@ def _angles(
             f"{block}) is required, such as {near}"
         )
     return angles
-
-
-def _stability(key: bool | Literal["quick"]) -> Literal["quick", "full", "none"]:
-    """Return how chatter is looked for."""
-    if key == "quick":
-        return "quick"
-    return "full" if key else "none"
 
 
 def _check_simulation(
@@ -660,14 +658,16 @@ def _check_simulation(
             f"[simulation] axial_depth: found {table.axial_depth * 1e3:g} mm; at most "
             f"{most * 1e3:g} mm is allowed: the flute length, or the depth of the path"
         )
-    if table.chip == "point_cloud" and not cutter.is_plain:
+    chip, others = table.chip, ChipSettings.each()
+    if chip.needs_plain_cutter and not cutter.is_plain:
+        free = [f'"{k}"' for k, one in others.items() if not one.needs_plain_cutter]
         problems.append(
-            '[simulation] chip: found "point_cloud", which a flat cutter with even '
-            'pitch and without run-out is required for; others take "near_far"'
+            f'[simulation] chip: found "{chip.name}", which a flat cutter with even '
+            f"pitch and without run-out is required for; others take {', '.join(free)}"
         )
-    if table.stability is True:
+    if table.stability == "full":
         _check_vibrates(table, problems, is_rigid=is_rigid)
-    if table.sensitivity and is_rigid:
+    if table.has_sensitivity and is_rigid:
         problems.append(
             "[simulation] sensitivity: found true, but with rigid = true no parameter "
             "moves the tool; only false is allowed"
@@ -675,7 +675,7 @@ def _check_simulation(
 
 
 def _check_vibrates(
-    table: SimulationTable, problems: list[str], *, is_rigid: bool
+    table: SimulationSettings, problems: list[str], *, is_rigid: bool
 ) -> None:
     """Note where the stability is asked for of a machine that cannot vibrate."""
     if is_rigid or table.mode == "quasistatic":
@@ -687,12 +687,12 @@ def _check_vibrates(
 
 
 def _axes(
-    path: Path | None, table: SimulationTable
+    path: Path | None, table: SimulationSettings
 ) -> tuple[tuple[float, float, float], ...]:
     """Return the directions of the tool, or none if it stands upright."""
     if path is None:
         return ()
-    if not table.tool_tilt and path.is_upright:
+    if not table.tilts and path.is_upright:
         return ()
     # They size arrays: neighbours are one.
     rows = np.unique(np.round(np.asarray(path.axes), 2), axis=0)

@@ -16,6 +16,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int32
 
 from .._types import RealScalarLike
+from ..settings.base import builds
+from ..settings.force import KienzleSettings
 from ._law import (
     AbstractForceLaw,
     ToothValues,
@@ -72,9 +74,11 @@ class KienzleLaw(AbstractForceLaw):
     K_re: ToothValues = eqx.field(converter=as_coefficient, default=0.0)
     K_ae: ToothValues = eqx.field(converter=as_coefficient, default=0.0)
     reference_thickness: RealScalarLike = eqx.field(
-        converter=as_coefficient, default=1e-3
+        converter=as_coefficient, default=KienzleSettings.reference_thickness
     )
-    least_thickness: RealScalarLike = eqx.field(converter=as_coefficient, default=1e-6)
+    least_thickness: RealScalarLike = eqx.field(
+        converter=as_coefficient, default=KienzleSettings.least_thickness
+    )
 
     def __check_init__(self) -> None:
         """Refuse coefficients of a wrong shape."""
@@ -142,3 +146,9 @@ class KienzleLaw(AbstractForceLaw):
         thick = jnp.where(h > h_0, h, h_0)
         tangent = 1 + m * (thick - h) / h_0
         return K_1 * (thick / h_1) ** -m * tangent * h
+
+
+@builds(KienzleSettings)
+def _kienzle_law(settings: KienzleSettings) -> KienzleLaw:
+    given = {name: value for name, value in vars(settings).items() if value is not None}
+    return KienzleLaw(**{"m_r": settings.m_t, "m_a": settings.m_t} | given)

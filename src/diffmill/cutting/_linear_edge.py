@@ -6,6 +6,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int32
 
+from ..settings.base import builds
+from ..settings.force import LinearEdgeSettings
 from ._law import (
     AbstractForceLaw,
     ToothValues,
@@ -94,3 +96,8 @@ class LinearEdgeLaw(AbstractForceLaw):
             jnp.asarray(K_rc * h + K_re * touch),
             jnp.asarray(K_ac * h + K_ae * touch),
         )
+
+
+@builds(LinearEdgeSettings)
+def _linear_edge_law(settings: LinearEdgeSettings) -> LinearEdgeLaw:
+    return LinearEdgeLaw(**vars(settings))

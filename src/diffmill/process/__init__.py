@@ -17,7 +17,6 @@ from ._chip import (
     edge_contact as edge_contact,
 )
 from ._choose_engagement import (
-    ChipModel as ChipModel,
     choose_engagement as choose_engagement,
     default_element_height as default_element_height,
 )

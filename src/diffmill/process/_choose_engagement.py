@@ -2,13 +2,15 @@
 
 import dataclasses
 import math
-from typing import Any, Literal, TypeAlias
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from .._arrays import is_traced
 from ..cutter import AbstractCutter
+from ..settings.base import builds
+from ..settings.simulation import ChipSettings, NearFarSettings, PointCloudSettings
 from ..workpiece import Discs, RemovalWindow, Stock
 from ._engagement.bottom_edge import BottomEdges
 from ._engagement.dexel_cloud import DexelCloud
@@ -21,11 +23,6 @@ _TILT = 0.02
 # Samples per revolution, unless asked for: of a flat cutter that stands upright, and of
 # others, whose samples have to be looked up one by one.
 _ANGLES, _ANGLES_IN_SPACE = 180, 96
-# Where the chip comes from: the circles of earlier poses ("near_far") or the cloud of
-# points that a pose takes from the stock ("point_cloud"), as in the paper.
-ChipModel: TypeAlias = Literal["near_far", "point_cloud"]
-# Heights of a disc in ray spacings; the paper's discs are one ray high.
-_HEIGHT = {"near_far": 3.5, "point_cloud": 1.0}
 # Annuli of the bottom edge of an upright flat cutter.
 _ANNULI = 4
 # Elements of a corner are shorter than those of a side by this factor: across them
@@ -39,7 +36,7 @@ _LEAST_CORNER = 5.0
 
 
 def default_element_height(
-    chip: ChipModel, spacing: float, cutter: AbstractCutter
+    chip: str | ChipSettings, spacing: float, cutter: AbstractCutter
 ) -> float:
     """Return the height of a disc if none is asked for.
 
@@ -47,7 +44,7 @@ def default_element_height(
     exit would come in steps that the instantaneous force shows.
 
     Args:
-        chip: The chip model.
+        chip: The chip model, by its name or its settings.
         spacing: Spacing of the rays [m].
         cutter: The cutter; a helix angle that is traced is taken to be 45 degrees, so
             that discs are no higher than those of most helices.
@@ -55,7 +52,7 @@ def default_element_height(
     Returns:
         The height [m].
     """
-    height = _HEIGHT[chip] * spacing
+    height = ChipSettings.of(chip).disc_height * spacing
     if not cutter.has_helix:
         return height
     turn = 2 * math.pi / _ANGLES
@@ -76,7 +73,7 @@ def choose_engagement(
     is_upright: bool = True,
     plunges: bool = False,
     has_bottom: bool = True,
-    chip: ChipModel = "near_far",
+    chip: str | ChipSettings = "near_far",
     updates_per_period: int = 1,
 ) -> AbstractEngagement:
     """Choose the sizes of a process.
@@ -95,7 +92,7 @@ def choose_engagement(
         is_upright: Whether the tool stands along +z all the time.
         plunges: Whether the path descends in material, so that the bottom cuts.
         has_bottom: Whether bottom edges cut where the tool descends.
-        chip: The chip model.
+        chip: The chip model, by its name or its settings.
         updates_per_period: Engagement updates of a robot's tooth period.
 
     Returns:
@@ -105,13 +102,19 @@ def choose_engagement(
         ValueError: A point cloud is asked for, but not of a plain flat cutter that
             stands upright; or updates do not divide the sub-steps.
     """
+    model = ChipSettings.of(chip)
     is_simple = is_upright and cutter.is_plain
+    if model.needs_plain_cutter and not is_simple:
+        raise ValueError(
+            'Argument `chip` must be "near_far" unless the cutter is flat, has even '
+            f'teeth without run-out and stands along +z, but is "{model.name}".'
+        )
     unit = cutter.flute_count * substeps
     if angles is None:
         angles = _ANGLES if is_simple else _ANGLES_IN_SPACE
     angles = math.ceil(angles / unit) * unit
     if element_height is None:
-        element_height = default_element_height(chip, stock.spacing, cutter)
+        element_height = default_element_height(model, stock.spacing, cutter)
     dz = float(element_height)
     radius = cutter.nominal_radius
     # Samples on the rim farther apart than the rays must not step over a wall.
@@ -130,15 +133,10 @@ def choose_engagement(
         depth = min(axial_depth, cutter.flute_length)
         sizes["discs"] = Discs(max(1, math.ceil(depth / dz + 0.5)), dz, band)
         sizes["window"] = RemovalWindow.upright(stock, cutter, axial_depth, reach)
-        if chip == "point_cloud":
-            return DexelCloud(**sizes)
         bottom = BottomEdges(_ANNULI) if plunges and has_bottom else None
-        return UprightFlat(**sizes, bottom=bottom)
-    if chip == "point_cloud":
-        raise ValueError(
-            'Argument `chip` must be "near_far" unless the cutter is flat, has even '
-            'teeth without run-out and stands along +z, but is "point_cloud".'
-        )
+        engagement = model.build(sizes, bottom)
+        assert isinstance(engagement, AbstractEngagement)
+        return engagement
     if is_upright:
         window = RemovalWindow.upright(stock, cutter, axial_depth, reach)
         profile = _profile(cutter, axial_depth, dz, plunges)
@@ -156,6 +154,20 @@ def choose_engagement(
     return EdgeElementsInSpace(
         **sizes, discs=discs, window=window, profile=profile, is_upright=is_upright
     )
+
+
+@builds(NearFarSettings)
+def _near_far(
+    settings: NearFarSettings, sizes: dict[str, Any], bottom: BottomEdges | None
+) -> UprightFlat:
+    return UprightFlat(**sizes, bottom=bottom)
+
+
+@builds(PointCloudSettings)
+def _point_cloud(
+    settings: PointCloudSettings, sizes: dict[str, Any], bottom: BottomEdges | None
+) -> DexelCloud:
+    return DexelCloud(**sizes)
 
 
 def _tilted(

@@ -84,7 +84,8 @@ def key(
         metadata["alias"] = name
     metadata["works_with"] = dict(works_with or {})
     metadata["converter"] = converter
-    return dataclasses.field(default=default, metadata=metadata)
+    made: Any = dataclasses.field(default=default, metadata=metadata)
+    return made
 
 
 @dataclass_transform(frozen_default=True, field_specifiers=(key, dataclasses.field))
@@ -128,6 +129,19 @@ class Settings:
             kind = cls.hints()[field.name]
             if isinstance(kind, type) and issubclass(kind, Strategy):
                 yield field, kind
+
+    @classmethod
+    def unfinished(cls: type[_Settings], values: Mapping[str, object]) -> _Settings:
+        """Settings of a file, unchecked: None for keys that follow from the job.
+
+        Args:
+            values: Values of the keys, by the names of their fields.
+        """
+        made = object.__new__(cls)
+        for field in dataclasses.fields(cls):
+            value = values.get(field.name, field.default)
+            object.__setattr__(made, field.name, value)
+        return made
 
     def misplaced(self) -> Iterable[str]:
         """Faults of keys beside values of others with which they do not work."""
@@ -200,16 +214,22 @@ class Strategy(Settings):
             cls.members[name] = cls
 
     @classmethod
+    def each(cls: type[_Strategy]) -> dict[str, type[_Strategy]]:
+        """Classes of the strategies of this family, by their names."""
+        found = cls.members.items()
+        return {name: kind for name, kind in found if issubclass(kind, cls)}
+
+    @classmethod
     def named(cls: type[_Strategy], name: object) -> type[_Strategy]:
         """Class of a strategy of this family.
 
         Raises:
             ValueError: There is none of this name.
         """
-        found = cls.members.get(name) if isinstance(name, str) else None
-        if found is not None and issubclass(found, cls):
-            return found
-        *most, last = (repr(one) for one in cls.members)
+        strategies = cls.each()
+        if isinstance(name, str) and name in strategies:
+            return strategies[name]
+        *most, last = map(repr, strategies)
         allowed = f"{', '.join(most)} or {last}" if most else last
         raise ValueError(f"found {name!r}; allowed: {allowed}")
 
@@ -224,12 +244,13 @@ class Strategy(Settings):
         Raises:
             ValueError: The strategy has no builder.
         """
-        if type(self).builder is None:
+        builder = type(self).builder
+        if builder is None:
             raise ValueError(
                 f"Argument `settings` must have a builder, but {self!r} has none: see "
                 "`diffmill.settings.base.builds`."
             )
-        return type(self).builder(self, *parts)
+        return builder(self, *parts)
 
 
 def builds(kind: type[Strategy]) -> Callable[[_Function], _Function]:

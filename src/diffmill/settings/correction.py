@@ -107,6 +107,69 @@ class SurfaceErrorSettings(ObjectiveSettings, name="surface"):
             )
 
 
+class MethodSettings(Strategy):
+    """Method whose command is the corrected program.
+
+    The builder of an optimiser takes the settings, the job, the objective, the surface
+    as it should be (None where that is not of walls and floors) and the plant.
+
+    Attributes:
+        is_optimiser: True if it looks for the command of the case "corrected"; else it
+            is the case of its own name.
+        holds_limits: True if it can hold limits of the command on positions of the tip.
+        needs_whole_path: True if a path is corrected as a whole, however long it is.
+        needs_robot: True if it is known of a robot alone.
+        uses_linear_run: True if it takes the derivatives of the whole run along steps.
+        steps: Largest number of steps unless a job says otherwise.
+    """
+
+    is_optimiser: ClassVar[bool] = False
+    holds_limits: ClassVar[bool] = False
+    needs_whole_path: ClassVar[bool] = False
+    needs_robot: ClassVar[bool] = False
+    uses_linear_run: ClassVar[bool] = False
+    steps: ClassVar[int] = 2
+
+    @property
+    def case(self) -> str:
+        """Name of the case of a correction that has the method's command."""
+        return "corrected" if self.is_optimiser else self.name
+
+
+class GaussNewtonSettings(MethodSettings, name="gauss_newton"):
+    """Bounded Gauss-Newton on spline offsets."""
+
+    is_optimiser: ClassVar[bool] = True
+    holds_limits: ClassVar[bool] = True
+    uses_linear_run: ClassVar[bool] = True
+
+
+class AdamSettings(MethodSettings, name="adam"):
+    """Adam on spline offsets."""
+
+    is_optimiser: ClassVar[bool] = True
+    needs_whole_path: ClassVar[bool] = True
+    steps: ClassVar[int] = 60
+
+
+class MirrorSettings(MethodSettings, name="mirror"):
+    """Mirror of the deviation, once."""
+
+
+class IteratedMirrorSettings(MethodSettings, name="mirror_iterated"):
+    """Mirror of the deviation, iterated."""
+
+
+class InputShaperSettings(MethodSettings, name="input_shaper"):
+    """Input shaper of the slowest mode."""
+
+
+class InverseDriveSettings(MethodSettings, name="inverse_drive"):
+    """Motor positions that balance the forces of the rigid cut."""
+
+    needs_robot: ClassVar[bool] = True
+
+
 class LineWeight(NamedTuple):
     """Weight of a section of a program.
 
@@ -204,7 +267,8 @@ class CorrectionSettings(Settings, table="correction"):
     Attributes:
         objective: Error that becomes small: "path" (contour error of the tip),
             "surface" (signed error of the machined surface), or its settings.
-        method: Method whose result is written as the corrected program.
+        method: Method whose result is written as the corrected program, by its name
+            or its settings.
         compare: "all" to run every method, the baselines' grids included; "few" for the
             one-shot mirror and the inverse drive beside the one asked for.
         command: "tip" positions (what a program carries) or "joint" angles.
@@ -242,14 +306,11 @@ class CorrectionSettings(Settings, table="correction"):
         default="path",
         converter=ObjectiveSettings.of,
     )
-    method: Literal[
-        "gauss_newton",
-        "adam",
-        "mirror",
-        "mirror_iterated",
-        "input_shaper",
-        "inverse_drive",
-    ] = key("method whose result is written", default="gauss_newton")
+    method: MethodSettings = key(
+        "method whose result is written",
+        default="gauss_newton",
+        converter=MethodSettings.of,
+    )
     compare: Literal["few", "all"] = key(
         "what runs beside the method: the one-shot mirror and the inverse drive, or "
         "every method (slow)",
@@ -347,3 +408,8 @@ class CorrectionSettings(Settings, table="correction"):
         "horizon",
         default="auto",
     )
+
+    @property
+    def optimiser(self) -> MethodSettings:
+        """Method that looks for the case "corrected": Gauss-Newton beside baselines."""
+        return self.method if self.method.is_optimiser else GaussNewtonSettings()

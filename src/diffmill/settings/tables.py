@@ -22,7 +22,13 @@ _T = TypeVar("_T", bound=TomlTable)
 _S = TypeVar("_S", bound=Settings)
 
 
-def read_settings(kind: type[_S], raw: object, problems: list[str]) -> _S | None:
+def read_settings(
+    kind: type[_S],
+    raw: object,
+    problems: list[str],
+    place: str = "",
+    also: tuple[str, ...] = (),
+) -> _S | None:
     """Settings that a table of a job file states.
 
     Keys of strategies that are not chosen are checked and left out.
@@ -31,6 +37,8 @@ def read_settings(kind: type[_S], raw: object, problems: list[str]) -> _S | None
         kind: Their class.
         raw: The parsed table.
         problems: Receives a line for everything that is wrong.
+        place: What a line calls the table; that of its class if left out.
+        also: Keys that are allowed but read elsewhere.
 
     Returns:
         The settings, None for keys that follow from the rest of the job; None after a
@@ -40,18 +48,19 @@ def read_settings(kind: type[_S], raw: object, problems: list[str]) -> _S | None
     members = []
     for field, family in kind.choices():
         name = stated.get(field.name)
-        chosen = family.members.get(name) if isinstance(name, str) else None
+        chosen = family.each().get(name) if isinstance(name, str) else None
         first = chosen or family.named(field.default)
-        members += [first, *family.members.values()]
+        members += [first, *family.each().values()]
     table = _file_table(kind, tuple(dict.fromkeys(members)))
-    found = validated(table, raw, f"[{kind.table}]", problems)
+    found = validated(table, raw, place or f"[{kind.table}]", problems, also)
     if found is None:
         return None
     values = {f.name: getattr(found, name) for name, f in kind.keys().items()}
     for field, family in kind.choices():
-        own = family.named(values[field.name]).keys()
-        values |= {f.name: getattr(found, name) for name, f in own.items()}
-    return kind(**values)
+        chosen = family.named(values[field.name])
+        own = {f.name: getattr(found, name) for name, f in chosen.keys().items()}
+        values[field.name] = chosen(**own)
+    return kind.unfinished(values)
 
 
 def idle_keys(kind: type[Settings], raw: object) -> dict[str, str]:
@@ -61,7 +70,7 @@ def idle_keys(kind: type[Settings], raw: object) -> dict[str, str]:
         return idle
     for field, family in kind.choices():
         chosen = family.of(raw.get(field.name, field.default))
-        for name, member in family.members.items():
+        for name, member in family.each().items():
             for key in member.keys().keys() - chosen.keys().keys():
                 if key in raw:
                     idle[key] = f'{field.name} = "{name}"'

@@ -46,7 +46,7 @@ def written_errors(
     job = job.with_precision()
     own = final.contour.rms
     contours, lines = {}, []
-    for suffix in job.output.formats:
+    for suffix in job.output.suffixes:
         name = f"corrected{suffix}"
         axis = job.output.tool_axis
         path = written_path(folder / name, float(job.tooth_period), tool_axis=axis)
@@ -65,7 +65,7 @@ def written_errors(
                 "[output] tolerance is "
                 f"{job.output.tolerance * 1e6:g} um, a smaller one takes more blocks"
             )
-    if job.output.cycle > 0:
+    if job.output.stream_cycle > 0:
         stream = OffsetStream.read(folder / "stream.csv")
         tips = np.asarray(job.path.positions) + stream.at(
             np.asarray(job.path.time) - float(job.path.time[0])
@@ -184,8 +184,9 @@ def corrected_files(
         path = eqx.tree_at(lambda p: p.axes, path, up)
     files = {"corrected.csv": write_path_csv(path)}
     reduced = reduce_path(path, output.tolerance)
-    header = [f"{job.name}, corrected by diffmill", f"method: {job.correction.method}"]
-    for suffix in output.formats:
+    method = job.correction.method.name
+    header = [f"{job.name}, corrected by diffmill", f"method: {method}"]
+    for suffix in output.suffixes:
         name, blocks = f"corrected{suffix}", reduced
         if suffix == ".ngc":
             speed = float(job.spindle_speed)
@@ -194,7 +195,7 @@ def corrected_files(
                 blocks, header=header, spindle_speed=speed, frame=frame
             )
         else:
-            is_spline = output.is_spline and suffix == ".src"
+            is_spline = output.blocks == "spline" and suffix == ".src"
             if is_spline:
                 blocks = reduce_path(path, output.tolerance, is_spline=True)
             # A module of KRL bears the name of its file.
@@ -213,8 +214,8 @@ def corrected_files(
             f"{name}: {blocks.step_count - 1} blocks instead of "
             f"{path.step_count - 1}, within {output.tolerance * 1e6:g} um at any time"
         )
-    if output.cycle > 0:
-        stream = OffsetStream.of_paths(job.path, path, output.cycle)
+    if output.stream_cycle > 0:
+        stream = OffsetStream.of_paths(job.path, path, output.stream_cycle)
         files["stream.csv"] = stream.text
         line = f"stream.csv: steps of {stream.largest_step * 1e6:.3g} um at most"
         if stream.largest_step > output.max_step:

@@ -6,8 +6,6 @@ import math
 from ...cutter import AbstractCutter
 from ...settings.correction import CorrectionSettings, ObjectiveSettings
 
-# Steps of Adam unless a job says otherwise.
-_ADAM_STEPS = 60
 # What a corrected command may accelerate unless a job says otherwise, over the program.
 _FACTOR = 2.0
 
@@ -23,13 +21,11 @@ def completed_correction(
             and may hardly accelerate at all, so that a factor of it says nothing.
     """
     is_bound = math.isfinite(table.max_acceleration)
-    holds_limits = table.method == "gauss_newton" and table.command == "tip"
+    holds_limits = table.method.holds_limits and table.command == "tip"
     follows = {
         # Who says which error does not count has said which one is allowed.
         "tolerance_band": table.tolerance,
-        "max_steps": _ADAM_STEPS
-        if table.method == "adam"
-        else CorrectionSettings.max_steps,
+        "max_steps": table.method.steps,
         "acceleration_factor": _FACTOR
         if holds_limits and not is_recorded and not is_bound
         else math.inf,
@@ -49,7 +45,7 @@ def check_correction(
     """Note settings that the cutter, the path, the mode or others do not allow."""
     _check_segments(table, mode, problems)
     needs = table.objective.needs_surface
-    others = ObjectiveSettings.members.values()
+    others = ObjectiveSettings.each().values()
     allowed = ", ".join(f'"{one.name}"' for one in others if not one.needs_surface)
     for key, found, is_asked, instead in (
         ("objective", f'"{table.objective.name}"', needs, allowed),
@@ -67,11 +63,11 @@ def check_correction(
 
 def _check_segments(table: CorrectionSettings, mode: str, problems: list[str]) -> None:
     """Note a horizon beside what needs the whole path, or too short for its overlap."""
-    objective = table.objective
+    objective, method = table.objective, table.method
     for beside, is_whole in (
         (f'objective = "{objective.name}"', objective.needs_whole_path),
         ("an uncertainty", table.uncertainty is not None),
-        ('method = "adam"', table.method == "adam"),
+        (f'method = "{method.name}"', method.needs_whole_path),
         ('[simulation] mode = "quasistatic"', mode == "quasistatic"),
     ):
         if table.horizon != "auto" and is_whole:

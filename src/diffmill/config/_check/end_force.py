@@ -42,11 +42,11 @@ def end_notes(
     has_end = cutter.nominal_corner_radius < cutter.nominal_radius
     if not (settings.plunges and has_end):
         return ()
-    if settings.has_bottom and settings.chip == "near_far":
+    if settings.has_bottom and settings.chip.has_bottom_edges:
         return _assumed(job)
     reason = "[simulation] bottom_edges is false"
-    if settings.chip != "near_far":
-        reason = f'[simulation] chip = "{settings.chip}" knows no bottom edges'
+    if not settings.chip.has_bottom_edges:
+        reason = f'[simulation] chip = "{settings.chip.name}" knows no bottom edges'
     if not job.path.is_upright:
         return (
             f"{reason}: what the end of the cutter pushes where it goes ahead in "

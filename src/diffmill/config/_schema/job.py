@@ -5,9 +5,8 @@ others.
 """
 
 import dataclasses
-import math
-from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias, TypeVar
+from collections.abc import Callable, Mapping
+from typing import Annotated, Literal, TypeAlias, TypeVar
 
 from pydantic import Field, StrictBool, StrictInt, StrictStr
 
@@ -26,18 +25,15 @@ from ...settings.fields import (
     SpindleSpeed,
     Stiffness,
     Tolerance,
-    Uncertainty,
 )
+from ...settings.output import OutputSettings
+from ...settings.simulation import SimulationSettings
 from ...settings.tables import TomlTable, meant_by, read_settings, validated
 from .compliance import BendingToolTable, FlangeSpringTable
 from .controller import ControllerTable, read_controller
 from .cutter import CutterTable
 from .force import ForceTables, read_force
 from .machine import MachineTable, is_machine
-
-if TYPE_CHECKING:
-    from ..._job import OutputSettings
-    from ...toolpath import Point
 
 _Table = TypeVar("_Table")
 _Toml = TypeVar("_Toml", bound=TomlTable)
@@ -256,173 +252,6 @@ class RobotTable(TomlTable):
     )
 
 
-class OutputTable(TomlTable):
-    """`[output]`."""
-
-    formats: list[Literal["gcode", "krl", "rapid", "apt"]] | None = Field(
-        default=None,
-        description='formats of the corrected program; ["gcode"] if left out, or '
-        '["krl"] if the tool tilts, which G-code of X, Y and Z cannot',
-    )
-    tolerance: Tolerance = Field(
-        default=1e-6,
-        description="largest distance of the written program from the command at any "
-        "time; 0 writes every tooth period",
-    )
-    stream_cycle: Delay = Field(
-        default=0.0,
-        description='time between the rows of stream.csv, such as "4 ms"; 0 writes no '
-        "stream",
-    )
-    max_step: PositiveLength = Field(
-        default=math.inf,
-        description="change of an offset in a cycle above which a note is given, such "
-        'as "50 um"',
-    )
-    blocks: Literal["lines", "spline"] = Field(
-        default="lines", description="lines, or a spline in KRL"
-    )
-    moved_ends: StrictBool = Field(
-        default=False,
-        description="true: also writes the program itself with the ends of its blocks "
-        "moved",
-    )
-    tool_axis: Literal["x", "y", "z", "-x", "-y", "-z"] | None = Field(
-        default=None,
-        description="axis of the controller's tool that points from the shank to the "
-        "tip, in KRL and RAPID; if left out that of a KRL or RAPID program, else z",
-    )
-
-    def settings(
-        self,
-        *,
-        is_upright: bool,
-        tool_axis: Literal["x", "y", "z", "-x", "-y", "-z"] | None = None,
-        first_angles: "Point | None" = None,
-    ) -> "OutputSettings":
-        """Return the settings of a job."""
-        from ..._job import OutputSettings
-
-        suffixes = {"gcode": ".ngc", "krl": ".src", "rapid": ".mod", "apt": ".apt"}
-        return OutputSettings(
-            formats=tuple(suffixes[n] for n in self._names(is_upright=is_upright)),
-            tolerance=self.tolerance,
-            cycle=self.stream_cycle,
-            max_step=self.max_step,
-            is_spline=self.blocks == "spline",
-            moves_ends=self.moved_ends,
-            tool_axis=self.tool_axis or tool_axis or "z",
-            first_angles=first_angles,
-        )
-
-    def _names(self, *, is_upright: bool) -> Sequence[str]:
-        """Return the formats, those left out too."""
-        if self.formats is None:
-            return ["gcode"] if is_upright else ["krl"]
-        return self.formats
-
-    def notes(self, *, is_upright: bool) -> tuple[str, ...]:
-        """Return which keys have no effect beside the others."""
-        notes = []
-        if self.blocks == "spline" and "krl" not in self._names(is_upright=is_upright):
-            notes.append('[output] blocks: without effect, since formats has no "krl"')
-        if self.max_step < math.inf and self.stream_cycle == 0:
-            notes.append("[output] max_step: without effect, since stream_cycle is 0")
-        return tuple(notes)
-
-
-class ScatterTable(TomlTable):
-    """`[simulation] scatter`: relative standard deviations of the model."""
-
-    stiffness: Uncertainty = Field(
-        default=0.0,
-        description="relative standard deviation of the stiffness, such as 0.1",
-    )
-    damping: Uncertainty = Field(
-        default=0.0,
-        description="relative standard deviation of the damping, such as 0.2",
-    )
-    force: Uncertainty = Field(
-        default=0.0,
-        description="relative standard deviation of the force coefficients, such as "
-        "0.1",
-    )
-
-
-class SimulationTable(TomlTable):
-    """`[simulation]`."""
-
-    angles: Annotated[StrictInt, Field(ge=1, le=100_000)] | None = Field(
-        default=None,
-        description="samples per revolution, a multiple of teeth times substeps; if "
-        "left out at least 180 for an upright flat cutter of even pitch without "
-        "run-out, else 96",
-    )
-    substeps: Annotated[StrictInt, Field(ge=1, le=1000)] | None = Field(
-        default=None,
-        description="steps of the machine in a tooth period; if left out 0.5 ms long "
-        "at most, and as short as the modes of the machine ask",
-    )
-    element_height: PositiveLength | None = Field(
-        default=None,
-        description='height of the discs of the cutter, such as "0.2 mm"; if left out, '
-        "it follows from the spacing of the stock and the helix angle",
-    )
-    axial_depth: PositiveLength | None = Field(
-        default=None,
-        description='deepest immersion that is computed, such as "3 mm"; that of the '
-        "path if left out",
-    )
-    precision: Literal["float64", "float32"] = Field(
-        default="float64", description="precision of all numbers"
-    )
-    gravity_compensated: StrictBool = Field(
-        default=True, description="false: the controller leaves the sag of the arm"
-    )
-    chip: Literal["near_far", "point_cloud"] = Field(
-        default="near_far",
-        description="chip model; point_cloud is the hard one of the paper, for flat "
-        "cutters of even pitch without run-out",
-    )
-    tool_tilt: StrictBool = Field(
-        default=False, description="true: the bending arm also tilts the tool (slower)"
-    )
-    bottom_edges: StrictBool | None = Field(
-        default=None,
-        description="whether bottom edges cut where the tool descends, so that plunges "
-        "push along the axis; if left out they do of a rigid machine and of an end "
-        "with a dish_angle",
-    )
-    integrator: Literal["midpoint", "rk4"] = Field(
-        default="midpoint",
-        description="rule of the substeps; rk4 is explicit and slow, to verify the "
-        "other by",
-    )
-    dynamics: Literal["crba", "aba"] = Field(
-        default="crba",
-        description="algorithm of the dynamics of the arm; aba, by articulated bodies, "
-        "gives the same answer",
-    )
-    mode: Literal["dynamic", "quasistatic"] = Field(
-        default="dynamic", description="quasistatic: the arm bends but does not swing"
-    )
-    stability: StrictBool | Literal["quick"] = Field(
-        default="quick",
-        description="true: chatter is looked for along the whole path; quick: only "
-        "where most is cut; false: nowhere",
-    )
-    sensitivity: StrictBool = Field(
-        default=False,
-        description="true: also says what 10 % more stiffness, damping, force, ... "
-        "does",
-    )
-    scatter: ScatterTable | None = Field(
-        default=None,
-        description="how far machines may be from the model, to add the contour error "
-        "to be expected; not computed if left out",
-    )
-
-
 OPTIONAL_TABLES = frozenset(
     {"spindle", "controller", "simulation", "correction", "output"}
 )
@@ -458,9 +287,9 @@ class JobTables:
     robot: RobotTable | None
     machine: MachineTable | None
     controller: ControllerTable | None
-    simulation: SimulationTable | None
+    simulation: SimulationSettings | None
     correction: CorrectionSettings | None
-    output: OutputTable | None
+    output: OutputSettings | None
     stated: frozenset[str]
 
 
@@ -512,9 +341,9 @@ def read_tables(raw: Mapping[str, object], problems: list[str]) -> JobTables:
         robot=table("robot", RobotTable),
         machine=table("machine", MachineTable),
         controller=read("controller", read_controller),
-        simulation=table("simulation", SimulationTable),
+        simulation=settings(SimulationSettings),
         correction=settings(CorrectionSettings),
-        output=table("output", OutputTable),
+        output=settings(OutputSettings),
         stated=frozenset(
             f"{name}.{key}"
             for name, keys in raw.items()

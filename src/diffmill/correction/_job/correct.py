@@ -34,7 +34,6 @@ from .correction_problem import CorrectionProblem, checked_job
 from .joint_limits import JointLimits
 from .linear_job import prepare_linear_job
 from .method import (
-    OPTIMISERS,
     Optimiser,
     for_the_path,
     job_optimiser,
@@ -192,7 +191,8 @@ def correct(
     adjoint = ThroughPoses()
     desired = jnp.asarray(job.path.positions)
     is_optimised = "corrected" in compared(job)
-    if is_optimised and segments is None and job.correction.method != "adam":
+    is_linear = job.correction.optimiser.uses_linear_run
+    if is_optimised and segments is None and is_linear:
         prepare_linear_job(job)
     # A program beyond a joint's limit is refused before anything runs, too.
     JointLimits(job).check(desired, is_joints=False)
@@ -236,8 +236,7 @@ def correct(
 def compared(job: Job) -> tuple[str, ...]:
     """Cases of a job's correction, in the order of `CASES`."""
     settings = job.correction
-    asked = "corrected" if settings.method in OPTIMISERS else settings.method
-    cases = {"uncorrected", "mirror", "inverse_drive", asked}
+    cases = {"uncorrected", "mirror", "inverse_drive", settings.method.case}
     if settings.compare == "all":
         cases = set(CASES)
     if job.robot is None:
@@ -276,7 +275,7 @@ def _run_baselines(
         methods[name] = GivenCommand(command)
     for name, method in methods.items():
         command = record.run(name, method, problem).command
-        if name == job.correction.method:
+        if name == job.correction.method.case:
             JointLimits(job).check(command, is_joints=False)
 
 
@@ -356,9 +355,8 @@ def _spread(job: Job, start: FloatRows) -> FloatRows:
 def _compared_cases(task: CorrectionProblem, record: CaseRecord) -> Correction:
     """Correction with the solutions of all cases, its joints within their limits."""
     job, before, outcomes = task.job, task.before, record.methods
-    chosen = job.correction.method
-    if chosen in OPTIMISERS:
-        chosen = "corrected"
+    chosen = job.correction.method.case
+    if job.correction.method.is_optimiser:
         are_joints = job.correction.command == "joint"
         JointLimits(job).check(outcomes[chosen].command, is_joints=are_joints)
     cases, methods = {}, {}

@@ -6,6 +6,8 @@ from typing import TypeAlias
 import numpy as np
 
 from ..._job import Job
+from ...settings.base import builds
+from ...settings.correction import AdamSettings, GaussNewtonSettings
 from .._core.method import MethodResult
 from .._core.path_objective import AbstractObjective, PathObjective
 from .._core.problem import Problem
@@ -20,8 +22,6 @@ from .plants import TipPlant
 
 Optimiser: TypeAlias = GaussNewton | Adam
 
-# Methods that look for the case "corrected".
-OPTIMISERS = ("gauss_newton", "adam")
 # Steps towards the path at most: further ones improve what the surface does not see.
 _STEPS_FOR_THE_PATH = 2
 
@@ -37,22 +37,44 @@ def job_optimiser(
     Raises:
         ValueError: Bounds of the surface are asked for where there is none.
     """
-    settings = job.correction
-    if settings.method == "adam":
-        return Adam(
-            knot_spacing=settings.knot_spacing,
-            steps=settings.max_steps,
-            objective=objective,
-        )
-    known = settings.uncertainty
+    method = job.correction.optimiser.build(job, objective, surface, plant)
+    assert isinstance(method, Optimiser)
+    return method
+
+
+@builds(AdamSettings)
+def _adam(
+    settings: AdamSettings,
+    job: Job,
+    objective: AbstractObjective,
+    surface: FinishedSurface | None,
+    plant: TipPlant,
+) -> Adam:
+    return Adam(
+        knot_spacing=job.correction.knot_spacing,
+        steps=job.correction.max_steps,
+        objective=objective,
+    )
+
+
+@builds(GaussNewtonSettings)
+def _gauss_newton(
+    settings: GaussNewtonSettings,
+    job: Job,
+    objective: AbstractObjective,
+    surface: FinishedSurface | None,
+    plant: TipPlant,
+) -> GaussNewton:
+    asked = job.correction
+    known = asked.uncertainty
     return GaussNewton(
-        knot_spacing=settings.knot_spacing,
-        solver=dataclasses.replace(GaussNewton.solver, max_steps=settings.max_steps),
+        knot_spacing=asked.knot_spacing,
+        solver=dataclasses.replace(GaussNewton.solver, max_steps=asked.max_steps),
         objective=objective,
         ensemble=job_ensemble(job, plant),
         is_worst_case=known is not None and known.objective == "worst",
         bounds=job_bounds(job, surface),
-        max_velocity=settings.max_velocity,
+        max_velocity=asked.max_velocity,
         max_acceleration=largest_acceleration(job),
     )
 

@@ -36,9 +36,9 @@ class SegmentRows(eqx.Module):
             UnsuitableSettings: The job asks for segments where there can be none.
         """
         settings, rows = job.correction, job.path.step_count
-        needs_whole_path = settings.objective.needs_whole_path or has_own_objective
-        is_able = not needs_whole_path and job.simulation.mode == "dynamic"
-        is_able &= settings.uncertainty is None and settings.method != "adam"
+        whole = settings.objective.needs_whole_path or settings.method.needs_whole_path
+        is_able = not (whole or has_own_objective) and job.simulation.mode == "dynamic"
+        is_able &= settings.uncertainty is None
         if settings.horizon == "auto":
             horizon = _HORIZON if rows > _WHOLE_ROWS and is_able else rows
         else:

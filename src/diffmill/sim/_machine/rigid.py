@@ -14,7 +14,6 @@ from ...cutting import AbstractForceLaw
 from ...process import (
     AbstractAdjoint,
     AbstractEngagement,
-    ChipModel,
     Engagement,
     Immersion,
     Process,
@@ -209,7 +208,7 @@ def simulate_process(
     adjoint: AbstractAdjoint | None = None,
     bottom_law: AbstractForceLaw | None = None,
     keeps_instantaneous: bool = False,
-    chip: ChipModel = "near_far",
+    chip: str = "near_far",
     row_count: IntScalar | None = None,
 ) -> Run:
     """Cut along a path, one row per tooth period.

@@ -30,7 +30,7 @@ def machine_lines(dataset: "xarray.Dataset", job: Job | None) -> list[str]:
     if rms(chosen) > rms(reference):
         return ["Nothing to load: the corrected command is worse than the program."]
     written = written_errors(dataset, "rms")
-    names = [f"corrected{suffix}" for suffix in job.output.formats]
+    names = [f"corrected{suffix}" for suffix in job.output.suffixes]
     if not names:
         return []
     files = [
@@ -53,12 +53,12 @@ def machine_lines(dataset: "xarray.Dataset", job: Job | None) -> list[str]:
         "The times of the blocks are a part of the correction: an override of the feed "
         "other than 100 % undoes it. G-code states them as inverse time (G93).",
     ]
-    if ".apt" in job.output.formats:
+    if ".apt" in job.output.suffixes:
         lines.append(
             "APT states feeds instead of times: its file is not run, and what it "
             "leaves is not known."
         )
-    if any(suffix in _ROBOT_FILES for suffix in job.output.formats):
+    if any(suffix in _ROBOT_FILES for suffix in job.output.suffixes):
         lines.append(
             "The robot's file has the motion alone: base, tool, approach and spindle "
             "are set on the controller, as the comment at its head lists."

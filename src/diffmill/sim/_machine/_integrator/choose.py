@@ -1,28 +1,35 @@
-"""The integrators by their names in a job."""
+"""The integrators by their settings."""
 
-from typing import Literal, TypeAlias
-
+from ....settings.base import builds
+from ....settings.simulation import (
+    IntegratorSettings,
+    MidpointSettings,
+    RungeKutta4Settings,
+)
 from .base import AbstractIntegrator, Dynamics
 from .midpoint import Midpoint
 from .rk4 import RungeKutta4
 
-IntegratorName: TypeAlias = Literal["midpoint", "rk4"]
-_BY_NAME: dict[IntegratorName, type[Midpoint] | type[RungeKutta4]] = {
-    "midpoint": Midpoint,
-    "rk4": RungeKutta4,
-}
+
+@builds(MidpointSettings)
+def _midpoint(settings: MidpointSettings, dynamics: Dynamics) -> Midpoint:
+    return Midpoint(dynamics)
+
+
+@builds(RungeKutta4Settings)
+def _runge_kutta_4(settings: RungeKutta4Settings, dynamics: Dynamics) -> RungeKutta4:
+    return RungeKutta4(dynamics)
 
 
 def make_integrator(
-    name: IntegratorName, dynamics: Dynamics = "crba"
+    settings: IntegratorSettings, dynamics: Dynamics = "crba"
 ) -> AbstractIntegrator:
-    """Return the integrator of a name.
+    """Integrator of some settings.
 
     Args:
-        name: "midpoint" or "rk4".
+        settings: The settings, whose class chooses it.
         dynamics: Algorithm of the robot's dynamics, "crba" or "aba".
-
-    Returns:
-        The integrator.
     """
-    return _BY_NAME[name](dynamics)
+    integrator = settings.build(dynamics)
+    assert isinstance(integrator, AbstractIntegrator)
+    return integrator
