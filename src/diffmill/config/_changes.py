@@ -11,7 +11,7 @@ Tables = dict[str, Any]
 def changed(
     tables: Tables, changes: Mapping[str, object], problems: list[str]
 ) -> Tables:
-    """Return the tables of a file with other values at some keys.
+    """Tables of a file with other values at some keys.
 
     Args:
         tables: The tables.
@@ -29,7 +29,7 @@ def changed(
 
 
 def value_at(tables: Tables, key: str) -> object:
-    """Return what a file holds at a key, as `changed` takes it.
+    """Value of a file at a key, written as for `changed`.
 
     Raises:
         LookupError: It holds nothing there.
@@ -49,7 +49,7 @@ def value_at(tables: Tables, key: str) -> object:
 
 
 def changes_text(changes: Mapping[str, object]) -> str:
-    """Return changes as comments of a file, for the record in the results."""
+    """Changes as comments of a file, for the record in the results."""
     return "".join(
         f"# changed: {key} = {json.dumps(value)}\n" for key, value in changes.items()
     )

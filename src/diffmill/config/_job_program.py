@@ -26,7 +26,7 @@ class JobProgram(NamedTuple):
     def of_job(
         cls, file: str | os.PathLike[str], *, allow_outside: bool = False
     ) -> "JobProgram | None":
-        """Return the program of a job, None if that is a recorded path.
+        """Program of a job; None if that is a recorded path.
 
         Args:
             file: The job file.

@@ -54,23 +54,23 @@ class Campaign(NamedTuple):
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Return the number of entries of each variation."""
+        """Number of entries of each variation."""
         return tuple(len(variation.changes) for variation in self.variations)
 
     def changes(self) -> Iterator[dict[str, object]]:
-        """Yield the changes of every job, the last variation's entry first."""
+        """Changes of every job; the last variation changes fastest."""
         for entries in itertools.product(*(v.changes for v in self.variations)):
             yield {key: value for entry in entries for key, value in entry.items()}
 
     def changed(self, changes: dict[str, object]) -> Tables:
-        """Return the tables of the job file with other values at some keys."""
+        """Tables of the job file with other values at some keys."""
         return changed(self.tables, changes, [])
 
 
 def load_campaign(
     file: str | os.PathLike[str], *, allow_outside: bool = False
 ) -> Campaign:
-    """Return a campaign from a TOML file and the job that it names.
+    """Campaign of a TOML file and the job that it names.
 
     Args:
         file: The campaign's file.
@@ -118,7 +118,7 @@ def load_campaign(
 
 
 def _check_keys(table: CampaignTable, problems: list[str]) -> None:
-    """Note keys that vary twice, and what is said only in part."""
+    """Faults of keys that vary twice, and of tables without their counterpart."""
     keys = [entry.key for entry in (*table.sweep, *table.draw)]
     if table.starts is not None:
         keys += ["correction.start_spread", "correction.start_seed"]
@@ -138,7 +138,7 @@ def _check_keys(table: CampaignTable, problems: list[str]) -> None:
 
 
 def _swept(entry: SweepTable, tables: Tables, problems: list[str]) -> Variation:
-    """Return the values of a key, or its own value times factors."""
+    """Variation of a key: its values, or the job's value times factors."""
     values, factors = entry.values or [], ()
     if (entry.values is None) == (entry.factors is None):
         problems.append(
@@ -162,7 +162,7 @@ def _dimension(key: str) -> str:
 
 
 def _starts(table: CampaignTable) -> Variation:
-    """Return the starts of an optimiser; the first is that of the job alone."""
+    """Variation of the optimiser's start; the first is that of the job alone."""
     assert table.starts is not None
     return Variation(
         "start",
@@ -177,7 +177,7 @@ def _starts(table: CampaignTable) -> Variation:
 
 
 def _drawn(table: CampaignTable, tables: Tables, problems: list[str]) -> Variation:
-    """Return the draws of all keys that scatter, together."""
+    """Variation of all keys that scatter, a draw an entry."""
     columns: dict[str, list[object]] = {}
     for entry in table.draw:
         try:
@@ -196,7 +196,7 @@ def _drawn(table: CampaignTable, tables: Tables, problems: list[str]) -> Variati
 def _check_values(
     tables: Tables, variations: list[Variation], problems: list[str]
 ) -> None:
-    """Note values that the job may not hold at their keys."""
+    """Faults of values that the job may not hold at their keys."""
     known: list[str] = []
     read_tables(tables, known)
     for variation in variations:

@@ -85,7 +85,7 @@ def load_job(
     allow_outside: bool = False,
     changes: Mapping[str, object] | None = None,
 ) -> Job:
-    """Return a job from a TOML file and the program and robot that it names.
+    """Job of a TOML file and the program and robot that it names.
 
     Args:
         file: The job file.
@@ -133,7 +133,7 @@ def load_job(
 def job_precision(
     file: str | os.PathLike[str], changes: Mapping[str, object] | None = None
 ) -> str:
-    """Return the precision that a job asks for, before JAX is configured for it.
+    """Precision that a job asks for, before JAX is configured for it.
 
     Args:
         file: The job file.
@@ -153,7 +153,7 @@ def job_precision(
 
 
 def _check_program(raw: object, context: FileContext) -> None:
-    """Note the faults of a program although its table has faults of its own."""
+    """Faults of a program whose table has faults of its own."""
     name = raw.get("file") if isinstance(raw, dict) else None
     if isinstance(name, str) and name:
         # Any feed will do: a faulty one has been reported.
@@ -209,7 +209,7 @@ class _Parts(NamedTuple):
 def _read_parts(
     tables: JobTables, context: FileContext, *, overrides_speed: bool
 ) -> _Parts:
-    """Return what checked tables say, with the path and the robot that follows it."""
+    """Parts that checked tables state, with the path and the robot along it."""
     problems = context.problems
     program, speed, cutter, holder, stock, robot, start = (None,) * 7
     if tables.program is not None:
@@ -269,7 +269,7 @@ def _read_parts(
 def _controller(
     tables: JobTables, robot: Robot | None, problems: list[str]
 ) -> Controller | None:
-    """Return the controller of a job; None if it is ideal, or after a fault."""
+    """Controller of a job; None if it is ideal, or after a fault."""
     table, own = tables.controller, tables.robot
     is_machine = tables.machine is not None
     if table is None or (own is None and not is_machine):
@@ -292,9 +292,9 @@ def _controller(
 
 
 def _standstill_rows(controller: Controller, tooth_period: float) -> float:
-    """Return the rows for which a program is at rest before and after it.
+    """Number of rows at standstill before a program, and after it.
 
-    It is no whole number yet, nor a finite one where a servo hardly follows.
+    It is no whole number, and infinite where a servo hardly follows.
 
     The motors begin before the clock on which the mean delay is left out, and end after
     it: by a delay, and servos by some of them.
@@ -306,7 +306,7 @@ def _standstill_rows(controller: Controller, tooth_period: float) -> float:
 
 
 def _follow(tables: JobTables, parts: _Parts, context: FileContext) -> _Parts:
-    """Check that the robot can follow the path, slowed down where a joint is slow.
+    """Parts with the path that the robot follows, slowed down where a joint is slow.
 
     Args:
         tables: Checked tables, that of the robot with them.
@@ -354,7 +354,7 @@ def _slowed(
     ramp: float,
     context: FileContext,
 ) -> tuple[_Parts, Float[np.ndarray, "slower joint"]]:
-    """Return the parts with a program whose joints keep their limits, and the joints.
+    """Parts with a program whose joints keep their limits, and the joints.
 
     Args:
         parts: With the robot, the program and its path.
@@ -380,7 +380,7 @@ def _slowed(
 
 
 def _check_machine(tables: JobTables, problems: list[str]) -> None:
-    """Note settings that a machine of modes does not know."""
+    """Faults of settings that a machine of modes does not know."""
     simulation, correction = tables.simulation, tables.correction
     if simulation is not None and simulation.mode == "quasistatic":
         problems.append(
@@ -402,7 +402,7 @@ def _check_machine(tables: JobTables, problems: list[str]) -> None:
 
 
 def _timed(tables: JobTables, parts: _Parts, problems: list[str]) -> _Parts:
-    """Return the parts with the program as a path with a row per tooth period."""
+    """Parts with the program as a path with a row per tooth period."""
     assert parts.cutter is not None and parts.speed is not None
     period, flutes = parts.tooth_period, parts.cutter.flute_count
     if period > 1000 * LONGEST_SUBSTEP:
@@ -423,7 +423,7 @@ def _timed(tables: JobTables, parts: _Parts, problems: list[str]) -> _Parts:
 
 
 def _with_rows(parts: _Parts, timed: TimedProgram, problems: list[str]) -> _Parts:
-    """Return the parts with a timed program and its rows."""
+    """Parts with a timed program and its rows."""
     path = rows_of(timed, parts.tooth_period, problems)
     if path is not None and parts.controller is not None:
         rest = _standstill_rows(parts.controller, parts.tooth_period)
@@ -439,7 +439,7 @@ def _with_rows(parts: _Parts, timed: TimedProgram, problems: list[str]) -> _Part
 
 
 def _check_ramp(table: ProgramTable, robot: Robot | None, problems: list[str]) -> None:
-    """Note a ramp of joints whose speeds are not known."""
+    """Fault of a ramp of joints whose speeds are not known."""
     speed = None if robot is None else robot.joint_speed
     if table.joint_ramp > 0 and (speed is None or not np.isfinite(speed).any()):
         problems.append(
@@ -456,7 +456,7 @@ def _assemble(
     simulation: SimulationSettings,
     found: list[str],
 ) -> Job:
-    """Return the job of faultless parts."""
+    """Job of faultless parts."""
     program, cutter, path, stock = parts.program, parts.cutter, parts.path, parts.stock
     assert cutter is not None and path is not None and stock is not None
     assert parts.speed is not None
@@ -524,14 +524,14 @@ def _completed_output(
 
 
 def _is_free(table: RobotTable | None) -> bool:
-    """Return whether the joints choose the rotation about the tool axis."""
+    """True if the inverse kinematics chooses the rotation about the tool axis."""
     return table is not None and table.tool_rotation == "free"
 
 
 def _simulation(
     tables: JobTables, parts: _Parts, context: FileContext
 ) -> SimulationSettings | None:
-    """Return the numerical settings with their defaults; check what depends on them."""
+    """Numerical settings with those that follow from the job, and their faults."""
     table, robot = tables.simulation, tables.robot
     cutter, path, stock = parts.cutter, parts.path, parts.stock
     problems = context.problems
@@ -621,7 +621,7 @@ def _angles(
     is_upright: bool,
     problems: list[str],
 ) -> int:
-    """Return the samples per revolution: a multiple of those of a tooth period."""
+    """Samples per revolution, a multiple of teeth x sub-steps."""
     block = cutter.flute_count * substeps
     fewest = _FEWEST_ANGLES if cutter.is_plain and is_upright else _FEWEST_IN_SPACE
     angles = table.angles or block * math.ceil(fewest / block)
@@ -641,7 +641,7 @@ def _check_simulation(
     deepest: float | None,
     problems: list[str],
 ) -> None:
-    """Note settings that the cutter or the machine do not allow.
+    """Faults of settings beside the cutter or the machine.
 
     Args:
         tables: The checked tables of the job.
@@ -677,7 +677,7 @@ def _check_simulation(
 def _check_vibrates(
     table: SimulationSettings, problems: list[str], *, is_rigid: bool
 ) -> None:
-    """Note where the stability is asked for of a machine that cannot vibrate."""
+    """Fault of a search for chatter on a machine that cannot vibrate."""
     if is_rigid or table.mode == "quasistatic":
         why = "rigid = true" if is_rigid else 'mode = "quasistatic"'
         problems.append(
@@ -689,7 +689,7 @@ def _check_vibrates(
 def _axes(
     path: Path | None, table: SimulationSettings
 ) -> tuple[tuple[float, float, float], ...]:
-    """Return the directions of the tool, or none if it stands upright."""
+    """Directions of the tool, rounded; none if it stands upright."""
     if path is None:
         return ()
     if not table.tilts and path.is_upright:

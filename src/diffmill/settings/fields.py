@@ -10,7 +10,7 @@ from .. import units as q
 
 
 def _read(kind: q.QuantityKind, *, sign: str = "any") -> Callable[[object], float]:
-    """Return a converter of text to SI that also checks the sign."""
+    """Converter of text to SI that also checks the sign."""
 
     def convert(value: object) -> float:
         number = q.quantity(value, kind)
@@ -26,7 +26,7 @@ def _read(kind: q.QuantityKind, *, sign: str = "any") -> Callable[[object], floa
 
 
 def _read_drive(kinds: tuple[q.QuantityKind, ...]) -> Callable[[object], str]:
-    """Return a check of text that is a quantity of one of some kinds."""
+    """Check of text that is a quantity of one of some kinds."""
 
     def check(value: object) -> str:
         messages = []
@@ -102,7 +102,7 @@ Slots: TypeAlias = Annotated[StrictInt, Field(ge=1, le=128)]
 def _read_each(
     convert: Callable[[object], float], owner: str = "tooth"
 ) -> Callable[[object], float | list[float]]:
-    """Return a converter of one value, or of a list with one value per tooth."""
+    """Converter of one value, or of a list with one value per tooth."""
 
     def convert_all(value: object) -> float | list[float]:
         if not isinstance(value, list):
@@ -117,7 +117,7 @@ def _read_each(
 
 
 def _read_share(least: bool) -> Callable[[object], float]:
-    """Return a check of a plain number up to 1, from 0 or above it."""
+    """Check of a plain number up to 1, from 0 or above it."""
 
     def check(value: object) -> float:
         if isinstance(value, int | float) and not isinstance(value, bool):
@@ -134,7 +134,7 @@ Share: TypeAlias = Annotated[float, BeforeValidator(_read_share(False))]
 
 
 def _read_below_one(value: object) -> float:
-    """Return a plain number from 0 to below 1."""
+    """Plain number from 0 to below 1."""
     if isinstance(value, int | float) and not isinstance(value, bool):
         if 0 <= value < 1:
             return float(value)
@@ -142,7 +142,7 @@ def _read_below_one(value: object) -> float:
 
 
 def _read_positive(value: object) -> float:
-    """Return a plain finite number above 0."""
+    """Plain finite number above 0."""
     if isinstance(value, int | float) and not isinstance(value, bool):
         if 0 < value < math.inf:
             return float(value)
@@ -174,7 +174,7 @@ ToothExponent: TypeAlias = Annotated[
 
 
 def _uncertainty(value: object) -> float:
-    """Return a relative uncertainty, a number of at least 0 and below 1."""
+    """Relative uncertainty, a number of at least 0 and below 1."""
     if isinstance(value, int | float) and not isinstance(value, bool):
         if 0 <= value < 1:
             return float(value)

@@ -15,7 +15,7 @@ _SUFFIXES = {"gcode": ".ngc", "krl": ".src", "rapid": ".mod", "apt": ".apt"}
 
 
 class OutputSettings(Settings, table="output"):
-    """How a corrected program is written.
+    """Format of the files with a corrected program.
 
     Attributes:
         formats: Formats of the program.

@@ -119,7 +119,7 @@ def validated(
     problems: list[str],
     also: tuple[str, ...] = (),
 ) -> _T | None:
-    """Return a checked table.
+    """Checked table of a file.
 
     Args:
         table: Its class.
@@ -144,7 +144,7 @@ def validated(
 def _describe(
     table: type[TomlTable], fault: dict[str, Any], also: tuple[str, ...]
 ) -> str:
-    """Return one fault: key, what was found, what is allowed."""
+    """Line of one fault: key, value, and what is allowed."""
     # A choice of types adds their names to the place of the fault.
     keys = [str(part) for part in fault["loc"] if "[" not in str(part)]
     key = ".".join(keys)
@@ -180,7 +180,7 @@ def _describe(
 
 
 def meant_by(name: str, allowed: Iterable[str]) -> str:
-    """Return the name that was probably meant, as part of a message, or nothing."""
+    """Name that was probably meant, as part of a message, or nothing."""
     near = difflib.get_close_matches(name, list(allowed), n=1, cutoff=0.75)
     return f"; perhaps {near[0]} is meant" if near else ""
 

@@ -25,7 +25,7 @@ class FileContext(NamedTuple):
     def file(
         self, name: str, key: str, *, largest: int = _LARGEST_FILE
     ) -> pathlib.Path | None:
-        """Return the path of a file that is named, or None with a problem noted.
+        """Path of a file that the job names; None after a fault.
 
         Args:
             name: The name as in the file that is being read.

@@ -42,7 +42,7 @@ def check_correction(
     *,
     mode: str,
 ) -> None:
-    """Note settings that the cutter, the path, the mode or others do not allow."""
+    """Faults of settings beside the cutter, the path, the mode or other settings."""
     _check_segments(table, mode, problems)
     needs = table.objective.needs_surface
     others = ObjectiveSettings.each().values()
@@ -62,7 +62,7 @@ def check_correction(
 
 
 def _check_segments(table: CorrectionSettings, mode: str, problems: list[str]) -> None:
-    """Note a horizon beside what needs the whole path, or too short for its overlap."""
+    """Faults of a horizon beside strategies of whole paths, or a longer overlap."""
     objective, method = table.objective, table.method
     for beside, is_whole in (
         (f'objective = "{objective.name}"', objective.needs_whole_path),

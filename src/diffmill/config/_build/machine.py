@@ -4,9 +4,9 @@ import numpy as np
 
 from ..._toml import JobError, read_toml
 from ...robot import TipModes, rpy_matrix
+from ...settings.tables import validated
 from .._check.ranges import range_notes
 from .._schema.machine import MachineTable, ModesFile, ModeTable
-from ...settings.tables import validated
 from .context import FileContext
 
 # A mode of a smaller share of the tip's compliance needs no sub-steps of its own.
@@ -16,7 +16,7 @@ _NEAR = 0.5
 
 
 def read_machine(table: MachineTable, context: FileContext) -> TipModes | None:
-    """Return the modes of a machine, or None with problems noted.
+    """Modes of a machine at the tool tip; None after a fault.
 
     Args:
         table: The `[machine]` table.
@@ -50,7 +50,7 @@ def read_machine(table: MachineTable, context: FileContext) -> TipModes | None:
 
 
 def fastest_mode(modes: TipModes) -> float:
-    """Return the highest frequency of a mode that a force deflects at the tip [Hz]."""
+    """Highest frequency of a mode that a force deflects at the tip [Hz]."""
     frequencies = np.asarray(modes.frequencies, np.float64)
     gives = np.sum(np.asarray(modes.shapes) ** 2, axis=1) / frequencies**2
     least = min(_SHARE * gives.sum(), _NEAR * gives.max())
@@ -58,7 +58,7 @@ def fastest_mode(modes: TipModes) -> float:
 
 
 def _from_file(name: str, context: FileContext) -> list[ModeTable] | None:
-    """Return the modes of a file, or None with problems noted."""
+    """Modes of a file; None after a fault."""
     path = context.file(name, "[machine] file")
     if path is None:
         return None

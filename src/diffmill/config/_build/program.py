@@ -27,7 +27,8 @@ from .context import FileContext
 _SAME_SPEED = 1e-6
 # Instants of a written path are rounded [s].
 _SAME_INSTANT = 1e-6
-# Longest time over which the way is averaged [s]. The heaviest machine speeds up in less.
+# Longest time over which the way is averaged [s]: the heaviest machine speeds up in
+# less.
 _LONGEST_SMOOTHING = 60.0
 # Unit vectors that are nearer to each other are the same.
 _SAME_ROTATION = 1e-6
@@ -50,7 +51,7 @@ _LARGEST_FILE = 250_000_000
 
 
 def read_program(table: ProgramTable, context: FileContext) -> Program | Path | None:
-    """Return the program or the recorded path of a job, or None with problems noted."""
+    """Program or recorded path of a job; None after a fault."""
     suffix = pathlib.PurePath(table.file).suffix.lower()
     if suffix not in PROGRAM_FORMATS:
         context.problems.append(
@@ -77,7 +78,8 @@ def read_program(table: ProgramTable, context: FileContext) -> Program | Path | 
     context.notes.extend(f"[program] {note}" for note in program.notes)
     if table.feed is not None and not _uses(chosen, table.feed):
         context.notes.append(
-            "[program] feed: without effect, since the program says a feed for every move"
+            "[program] feed: without effect, since the program says a feed for every "
+            "move"
         )
     if len(program.sections) > 1:
         context.notes.append(_tool_note(program, chosen))
@@ -91,7 +93,7 @@ def rotated_as_asked(
     *,
     is_arm: bool,
 ) -> Program | Path | None:
-    """Return a program with the rotation about the tool axis that a job asks for.
+    """Program with the rotation about the tool axis that a job asks for.
 
     Args:
         rotation: `[robot] tool_rotation`.
@@ -130,7 +132,7 @@ def rotated_as_asked(
 def commanded_tips(
     table: ProgramTable, path: Path, context: FileContext
 ) -> FloatRows3 | None:
-    """Return the tips that the controller is told instead of a path's, if any.
+    """Tips that the job commands instead of the path's [m], shape (step, 3), if any.
 
     Args:
         table: `[program]`.
@@ -168,7 +170,7 @@ def check_sections(
     program: Program | Path | None,
     problems: list[str],
 ) -> None:
-    """Note sections of a program in which it does not move.
+    """Faults of sections in which the program does not move.
 
     Args:
         sections: `[correction] weight`.
@@ -191,7 +193,7 @@ def check_sections(
 
 
 def _check_recorded(table: ProgramTable, context: FileContext) -> None:
-    """Note the keys that a recorded path has no use for."""
+    """Notes and faults of keys that a recorded path does not use."""
     defaults = ProgramTable(file=table.file)
     stated = [
         key
@@ -206,26 +208,26 @@ def _check_recorded(table: ProgramTable, context: FileContext) -> None:
             "its own times"
         )
     context.problems.extend(
-        f"[program] {key}: found one, but a recorded path has its own times and places; "
-        "allowed with a program only"
+        f"[program] {key}: found one, but a recorded path has its own times and "
+        "places; allowed with a program only"
         for key in stated
         if key not in _WITHOUT_EFFECT
     )
 
 
 def _uses(program: Program, feed: float) -> bool:
-    """Return whether any move goes at the feed of the job."""
+    """True if a cutting move of the program goes at the feed of the job."""
     cuts = [move for move in program.moves if not move.is_rapid]
     return any(move.feed is None or math.isclose(move.feed, feed) for move in cuts)
 
 
 def _problems(text: str) -> list[str]:
-    """Return the faults of a message; what is allowed belongs to the last of them."""
+    """Faults of a message; the last one says what is allowed."""
     return text.replace("\nAllowed are", " Allowed are").splitlines()
 
 
 def _tool_note(program: Program, chosen: Program) -> str:
-    """Return which tool of several is simulated, and which are not."""
+    """Note of the tool that is simulated, and of the others."""
     tool = chosen.sections[0].tool
     rest = [f"T{one}" for one in program.tools if one != tool]
     others = f"; left out: {', '.join(rest)}" if rest else ""
@@ -233,7 +235,7 @@ def _tool_note(program: Program, chosen: Program) -> str:
 
 
 def _setup(table: ProgramTable) -> ProgramSetup:
-    """Return what the job says and the program does not."""
+    """Settings of the control that a program does not state."""
     zero = table.machine_zero
     return ProgramSetup(
         feed=table.feed,
@@ -250,7 +252,7 @@ def _setup(table: ProgramTable) -> ProgramSetup:
 
 
 def _point(lengths: list[float]) -> Point:
-    """Return three lengths as a point."""
+    """Point of three lengths [m]."""
     x, y, z = lengths
     return x, y, z
 
@@ -262,7 +264,7 @@ def spindle_speed(
     *,
     is_override: bool = False,
 ) -> float | None:
-    """Return the spindle speed [rad/s] of a job, or None with problems noted.
+    """Spindle speed of a job [rad/s]; None after a fault.
 
     Args:
         given: What `[spindle] speed` says, or None.
@@ -300,7 +302,7 @@ def spindle_speed(
 def time_program(
     program: Program, table: ProgramTable, problems: list[str]
 ) -> TimedProgram | None:
-    """Return a program under the limits of a job, or None with problems noted."""
+    """Program with times under the limits of a job; None after a fault."""
     smoothing = table.smoothing
     if table.jerk is not None:
         if smoothing > 0:
@@ -335,10 +337,8 @@ def time_program(
         return None
 
 
-def recorded_path(
-    path: Path, tooth_period: float, problems: list[str]
-) -> Path | None:
-    """Return a recorded path at the tooth instants, or None with problems noted."""
+def recorded_path(path: Path, tooth_period: float, problems: list[str]) -> Path | None:
+    """Recorded path at the tooth instants; None after a fault."""
     try:
         return path.resampled(tooth_period)
     except ValueError as error:
@@ -347,7 +347,7 @@ def recorded_path(
 
 
 def note_rounding(timed: TimedProgram, context: FileContext) -> None:
-    """Note that corners are rounded, since no error is counted from what was cut off."""
+    """Note of rounded corners: the error is counted from the rounded path."""
     count = timed.rounded_corners
     if count:
         context.notes.append(
@@ -361,7 +361,7 @@ def note_rounding(timed: TimedProgram, context: FileContext) -> None:
 def rows_of(
     timed: TimedProgram, tooth_period: float, problems: list[str]
 ) -> Path | None:
-    """Return a timed program at the tooth instants, or None with problems noted."""
+    """Path of a timed program at the tooth instants; None after a fault."""
     try:
         return timed.path(tooth_period)
     except ValueError as error:
@@ -376,7 +376,7 @@ def slowed_for_joints(
     q: Float[np.ndarray, "step joint"],
     ramp: float,
 ) -> TimedProgram:
-    """Return a program whose joints keep their speeds and accelerations.
+    """Program whose joints keep their speeds and accelerations.
 
     Args:
         timed: The program.

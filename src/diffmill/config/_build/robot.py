@@ -9,9 +9,9 @@ from ... import units as q
 from ...cutter import AbstractCutter
 from ...robot import Robot, built_in_models, rpy_matrix
 from .._schema.compliance import with_bending_cutter, with_spring
+from .._schema.job import PoseTable, RobotTable
 from .context import FileContext
 from .robot_file import check_springs, load_robot
-from .._schema.job import PoseTable, RobotTable
 
 # A flange may lie so far below the tip by rounding [m].
 _FLAT = 1e-6
@@ -23,7 +23,7 @@ _DRIVE_KINDS = {
 
 
 def pose_matrix(pose: PoseTable | None) -> Float[np.ndarray, "4 4"]:
-    """Return a pose as a homogeneous matrix; the identity for None."""
+    """Homogeneous matrix of a pose, shape (4, 4); the identity for None."""
     T = np.eye(4)
     if pose is not None:
         T[:3, :3] = np.asarray(rpy_matrix(*pose.rpy))
@@ -53,7 +53,7 @@ def read_robot(
     *,
     is_placed: bool = False,
 ) -> FittedRobot:
-    """Return the robot of a job.
+    """Robot of a job, with its drives and tool.
 
     Args:
         table: The `[robot]` table.
@@ -118,7 +118,7 @@ def _drive_notes(
     own: Float[np.ndarray, " joint"],
     stated: Float[np.ndarray, " joint"],
 ) -> list[str]:
-    """Return how many times the robot's own values the stated ones are, if not once."""
+    """Note of the ratio of stated values to the robot's own, unless it is 1."""
     ratio = stated[own > 0] / own[own > 0]
     if not ratio.size or np.allclose(ratio, 1.0):
         return []
@@ -129,7 +129,7 @@ def _drive_notes(
 
 
 def _tool_notes(T_flange_tool: Float[np.ndarray, "4 4"]) -> list[str]:
-    """Return that the tool points into the flange, if it does."""
+    """Note of a tool that points into the flange."""
     up = -float(T_flange_tool[:3, 2] @ T_flange_tool[:3, 3])
     if up > -_FLAT:
         return []
@@ -150,7 +150,7 @@ def _refuse_with_rigid(table: RobotTable, problems: list[str]) -> None:
 def _per_joint(
     table: RobotTable, key: str, robot: Robot, problems: list[str]
 ) -> Float[np.ndarray, " joint"] | None:
-    """Return a list with one quantity per joint in SI, None if absent or faulty."""
+    """Quantities of the joints in SI, shape (joint,); None if absent or faulty."""
     texts = getattr(table, key)
     if texts is None:
         return None

@@ -6,8 +6,8 @@ import warnings
 import numpy as np
 
 from ...robot import Robot, RobotFileWarning, built_in_models, load, spindle_note
-from .context import FileContext
 from .._schema.job import RobotTable
+from .context import FileContext
 
 _SUFFIXES = (".toml", ".urdf", ".xml")
 
@@ -18,7 +18,7 @@ def load_robot(
     *,
     needs_mass: bool = True,
 ) -> Robot | None:
-    """Return the robot of a job's `model` or `file`, or None with problems noted.
+    """Robot of a job's `model` or `file`; None after a fault.
 
     Args:
         table: The `[robot]` table, not of a rigid machine.
@@ -36,7 +36,9 @@ def load_robot(
             warnings.simplefilter("always", RobotFileWarning)
             robot = load(source, tool=table.tool, drives=drives)
     except ValueError as error:
-        context.problems.extend(f"[robot] {key}: {line}" for line in str(error).splitlines())
+        context.problems.extend(
+            f"[robot] {key}: {line}" for line in str(error).splitlines()
+        )
         return None
     idle = robot.massless_joints
     if idle and needs_mass:
@@ -53,7 +55,7 @@ def load_robot(
 
 
 def check_springs(robot: Robot, problems: list[str]) -> None:
-    """Note joints without a spring: nothing would move them."""
+    """Faults of joints without a spring: nothing would move them."""
     rigid = np.isinf(np.asarray(robot.joint_stiffness))
     if rigid.any():
         names = [n for n, r in zip(robot.joint_names, rigid, strict=True) if r]
@@ -64,10 +66,8 @@ def check_springs(robot: Robot, problems: list[str]) -> None:
         )
 
 
-def _source(
-    table: RobotTable, context: FileContext
-) -> str | pathlib.Path | None:
-    """Return a model's name or a file's path, None with a problem noted."""
+def _source(table: RobotTable, context: FileContext) -> str | pathlib.Path | None:
+    """Name of a model or path of a file; None after a fault."""
     if table.model is not None:
         if table.model in built_in_models():
             return table.model
@@ -79,6 +79,8 @@ def _source(
     assert table.file is not None
     if pathlib.PurePath(table.file).suffix.lower() not in _SUFFIXES:
         allowed = ", ".join(_SUFFIXES)
-        context.problems.append(f"[robot] file: found {table.file!r}; allowed: {allowed}")
+        context.problems.append(
+            f"[robot] file: found {table.file!r}; allowed: {allowed}"
+        )
         return None
     return context.file(table.file, "[robot] file")

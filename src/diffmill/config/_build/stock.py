@@ -16,8 +16,8 @@ from ...workpiece import (
     from_mesh,
     load_stock,
 )
-from .context import FileContext
 from .._schema.job import StockTable
+from .context import FileContext
 
 # A result and a job may state the same spacing with different rounding.
 _SAME_SPACING = 1e-6
@@ -44,7 +44,7 @@ class StockPlan(eqx.Module):
     stock: Stock | None
 
     def make(self) -> Stock:
-        """Return the stock."""
+        """Stock of the plan."""
         if self.stock is not None:
             return self.stock
         return box(
@@ -61,7 +61,7 @@ def read_stock(
     precision: str,
     context: FileContext,
 ) -> StockPlan | None:
-    """Return the stock of a job, or None with problems noted.
+    """Plan of a job's stock; None after a fault.
 
     Args:
         table: The table `[stock]`.
@@ -85,7 +85,9 @@ def read_stock(
         )
         return None
     if table.mesh_unit is not None and table.mesh is None:
-        context.problems.append("[stock] mesh_unit: found it without mesh, which it is for")
+        context.problems.append(
+            "[stock] mesh_unit: found it without mesh, which it is for"
+        )
     if table.spacing is None and table.result is None:
         context.problems.append(
             "[stock] spacing: found nothing, but it is required: a length, such as "
@@ -101,7 +103,7 @@ def read_stock(
 def _block(
     table: StockTable, dtype: jnp.dtype, problems: list[str]
 ) -> StockPlan | None:
-    """Return a block; note an empty one, and one too large for this machine."""
+    """Plan of a block; a fault if it is empty or too large for this computer."""
     before = len(problems)
     for key in ("lower", "upper"):
         if getattr(table, key) is None:
@@ -139,8 +141,8 @@ def _block(
         problems.append(
             f"[stock] spacing: found {table.spacing * 1e3:g} mm, for which the stock "
             f"takes {memory.needed / 1e9:.3g} GB; at most half of the physical memory, "
-            f"{memory.limit / 1e9:.3g} GB, is allowed: take a larger spacing, a smaller box "
-            "or float32"
+            f"{memory.limit / 1e9:.3g} GB, is allowed: take a larger spacing, a "
+            "smaller box or float32"
         )
         return None
     return StockPlan(lower, upper, table.spacing, slots, dtype, None)

@@ -15,7 +15,7 @@ _LAWS = ("force", "force.bottom")
 def drawn_values(
     entry: DrawTable, table: CampaignTable, tables: Tables
 ) -> list[object]:
-    """Return a value of a key for every draw.
+    """Values of a key, one for every draw.
 
     Every key has a stream of its own: more draws, or one key more, leave those that
     were drawn before as they are.
@@ -50,7 +50,7 @@ def drawn_values(
 
 
 def _allow_only(entry: DrawTable, names: tuple[str, ...]) -> None:
-    """Refuse numbers of another way to say how a key scatters, and missing ones."""
+    """Raise if the numbers of a distribution are missing, or others are there."""
     given = entry.model_dump(exclude={"key", "kind"}, exclude_none=True)
     if set(given) != set(names):
         raise ValueError(
@@ -61,13 +61,13 @@ def _allow_only(entry: DrawTable, names: tuple[str, ...]) -> None:
 
 
 def _unit_draw(kind: str, stream: np.random.Generator) -> float:
-    """Return a draw of deviation 1 about 0, or of half-width 1."""
+    """Draw about 0 with a standard deviation, or a half-width, of 1."""
     draw = stream.uniform(-1.0, 1.0) if kind == "uniform" else stream.normal()
     return float(draw)
 
 
 def scaled(value: object, factor: float, key: str = "") -> object:
-    """Return a value of a job times a factor; of a list, each entry.
+    """Value of a job times a factor; of a list, each entry.
 
     Of a table each entry that has a unit; of a force law its coefficients alone, since
     the thicknesses that Kienzle's law refers to are no forces.
@@ -102,7 +102,7 @@ def scaled(value: object, factor: float, key: str = "") -> object:
 
 
 def _scaled_if_unit(value: object, factor: float, key: str) -> object:
-    """Return an entry of a table times a factor, if it has a unit."""
+    """Entry of a table times a factor, if it has a unit."""
     if isinstance(value, dict | list):
         return scaled(value, factor, key)
     try:
@@ -113,7 +113,7 @@ def _scaled_if_unit(value: object, factor: float, key: str) -> object:
 
 
 def _scattered(value: object, entry: DrawTable, stream: np.random.Generator) -> object:
-    """Return a value of the job with a relative scatter; of a list, of each entry."""
+    """Value of the job with a relative scatter; of a list, of each entry."""
     if isinstance(value, list):
         return [_scattered(one, entry, stream) for one in value]
     assert entry.relative is not None

@@ -31,7 +31,7 @@ _TELLING = 0.1
 def end_notes(
     job: Job, joint_positions: Float[np.ndarray, "step joint"] | None
 ) -> tuple[str, ...]:
-    """Return what the forces of a job leave out or assume of the end of its cutter.
+    """Notes of what the forces leave out or assume of the end of the cutter.
 
     Args:
         job: The job.
@@ -74,7 +74,7 @@ def end_notes(
 
 
 def _assumed(job: Job) -> tuple[str, ...]:
-    """Return what is assumed of an end that cuts."""
+    """Notes of the assumptions about an end that cuts."""
     notes = []
     if job.bottom_law is None:
         notes.append(
@@ -98,12 +98,12 @@ def _assumed(job: Job) -> tuple[str, ...]:
 
 
 def _law_of_end(job: Job) -> "AbstractForceLaw":
-    """Return the force law of the bottom edges of a job."""
+    """Force law of the bottom edges of a job."""
     return job.law.for_bottom() if job.bottom_law is None else job.bottom_law
 
 
 def _descends(job: Job) -> bool:
-    """Return whether the end of a cutter goes ahead in material, or may."""
+    """True if the end of the cutter descends in material, or the tool leans."""
     if not job.path.is_upright:
         return True
     found = end_force(job.path, job.stock, job.cutter, _law_of_end(job))
@@ -113,7 +113,7 @@ def _descends(job: Job) -> bool:
 def _softness(
     job: Job, joint_positions: Float[np.ndarray, "step joint"] | None, row: int
 ) -> float:
-    """Return how far the tip moves per static force along z [m/N]; 0 if rigid."""
+    """Static compliance of the tip for a force along z [m/N]; 0 if rigid."""
     if job.modes is not None:
         compliance = np.asarray(job.modes.receptance(np.zeros(1)))[0].real
         return float(np.linalg.norm(compliance[:, 2]))
@@ -143,7 +143,7 @@ class EndForce(NamedTuple):
 def end_force(
     path: Path, stock: Stock, cutter: AbstractCutter, bottom_law: "AbstractForceLaw"
 ) -> EndForce:
-    """Return the axial force of the end of an upright cutter along a rigid path.
+    """Axial force F_z of the end of an upright cutter along a rigid path.
 
     The end sweeps the tops of columns along z. Where it was a tooth before, too, what
     it finds is its chip h, and over the area A of the end

@@ -25,7 +25,7 @@ def base_note(
     *,
     is_stated: bool,
 ) -> list[str]:
-    """Return how the workpiece lies beside the base of its program, if that states one.
+    """Note of the workpiece's pose beside the base that the program states.
 
     Args:
         T_base_work: Pose of the workpiece in the base, shape (4, 4).
@@ -56,7 +56,7 @@ def base_note(
 def tool_note(
     T_flange_tool: Float[np.ndarray, "4 4"] | None, program: Program | Path | None
 ) -> list[str]:
-    """Return how the tool of a job is beside that of its program, if both are known.
+    """Note of the job's tool beside the tool that the program states.
 
     Args:
         T_flange_tool: Pose of the tool in the flange, shape (4, 4).

@@ -28,7 +28,7 @@ _YIELDS, _FALLS = 0.02, 0.5
 def counting_modes(
     robot: Robot, q: Float[np.ndarray, " joint"]
 ) -> Float[np.ndarray, " mode"]:
-    """Return the frequencies of the modes that a force deflects at the tip [Hz].
+    """Frequencies of the modes that a force deflects at the tip [Hz], shape (mode,).
 
     Those of joints that are fast by themselves, such as a bending tool's, are left out.
 
@@ -47,12 +47,12 @@ def counting_modes(
 
 
 def lowered(frequency: float, substep: float) -> float:
-    """Return by which share the midpoint rule lowers a frequency [-]."""
+    """Share (2 pi f h)^2 / 12 by which the midpoint rule lowers a frequency f [-]."""
     return (2 * math.pi * frequency * substep) ** 2 / 12
 
 
 def default_substeps(period: float, fastest: float) -> int:
-    """Return the sub-steps of a tooth period that follow a mode.
+    """Number of sub-steps of a tooth period that follow a mode.
 
     Args:
         period: Tooth period [s].
@@ -71,7 +71,7 @@ def default_substeps(period: float, fastest: float) -> int:
 
 
 def default_updates(period: float, substeps: int) -> int:
-    """Return how often a tooth period looks up the stock.
+    """Number of engagement updates in a tooth period.
 
     Args:
         period: Tooth period [s].
@@ -88,7 +88,7 @@ def default_updates(period: float, substeps: int) -> int:
 
 
 def check_modes(fastest: float, substep: float, notes: list[str]) -> None:
-    """Note a mode that the sub-steps do not follow.
+    """Note of a mode that the sub-steps do not follow.
 
     Args:
         fastest: Highest frequency that counts [Hz]; 0 for none.
@@ -112,7 +112,7 @@ def check_modes(fastest: float, substep: float, notes: list[str]) -> None:
 
 
 def check_constant_force(fastest: float, substep: float, notes: list[str]) -> None:
-    """Note a mode of a machine that a force held over the sub-steps drives too little.
+    """Note of a mode that a force held over the sub-steps drives too little.
 
     Args:
         fastest: Highest frequency that counts [Hz].
@@ -133,7 +133,7 @@ def check_sag(
     poses: Float[np.ndarray, "pose joint"],
     context: FileContext,
 ) -> None:
-    """Note joints whose springs hardly hold the weight.
+    """Notes and faults of joints whose springs hardly hold the weight.
 
     Args:
         robot: The robot.

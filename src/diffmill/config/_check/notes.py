@@ -1,4 +1,4 @@
-"""Notes on a job: what is worth knowing before it runs, and no fault."""
+"""Notes on a job before it runs, of what is unusual and no fault."""
 
 import math
 
@@ -22,7 +22,7 @@ _LONGEST_FLUTES, _SHORTEST_FLUTES = 20.0, 0.1
 
 
 def immersion(path: Path, cutter: AbstractCutter, stock: StockPlan) -> float:
-    """Return how deep the path takes the tip below the top of the stock [m]."""
+    """Largest depth of the tip below the top of the stock [m]."""
     tips = np.asarray(path.positions)
     over = tips[_is_over(tips, cutter, stock), 2]
     return float(np.max(stock.upper[2] - over, initial=0.0))
@@ -31,14 +31,14 @@ def immersion(path: Path, cutter: AbstractCutter, stock: StockPlan) -> float:
 def _is_over(
     tips: Float[np.ndarray, "step 3"], cutter: AbstractCutter, stock: StockPlan
 ) -> Bool[np.ndarray, " step"]:
-    """Return the rows in which the cutter is over or in the stock, seen from above."""
+    """True in rows where the cutter is over or in the stock, shape (step,)."""
     radius, low, high = cutter.nominal_radius, stock.lower, stock.upper
     is_beside = (tips > low - radius) & (tips < high + radius)
     return np.all(is_beside[:, :2], axis=1)
 
 
 def notes(stock: StockPlan, path: Path, cutter: AbstractCutter) -> tuple[str, ...]:
-    """Return what is worth knowing but no fault."""
+    """Notes on spacing, sizes, run-out and depth."""
     notes = _posture_notes(path)
     coarse = _COARSE * cutter.nominal_radius
     if stock.spacing > coarse:
@@ -89,7 +89,7 @@ def notes(stock: StockPlan, path: Path, cutter: AbstractCutter) -> tuple[str, ..
 def rate_notes(
     stock: StockPlan, path: Path, cutter: AbstractCutter, tooth_period: float
 ) -> tuple[str, ...]:
-    """Return that a cutter turns or feeds as none does, or has flutes as none has.
+    """Notes on an unusual cutting speed, feed per tooth or flute length.
 
     Args:
         stock: The stock; moves beside and above it may be fast.
@@ -130,7 +130,7 @@ def rate_notes(
 
 
 def _posture_notes(path: Path) -> list[str]:
-    """Return that the cutter lies flat or points up where it moves at a feed."""
+    """Note of a cutter that lies flat or points up where it moves at a feed."""
     is_cut = ~np.asarray(path.is_rapid, bool)
     axes = np.asarray(path.axes, np.float64)[is_cut if is_cut.any() else ~is_cut]
     lean = np.degrees(np.arctan2(np.hypot(axes[:, 0], axes[:, 1]), axes[:, 2]))
@@ -146,7 +146,7 @@ def _posture_notes(path: Path) -> list[str]:
 
 
 def _span_mm(points: Float[np.ndarray, "point 3"]) -> str:
-    """Return the extents of points as text."""
+    """Extents of points in mm, as text."""
     low, high = np.min(points, axis=0) * 1e3, np.max(points, axis=0) * 1e3
     spans = zip("xyz", low, high, strict=True)
     return ", ".join(f"{axis} {a:g} to {b:g}" for axis, a, b in spans) + " mm"

@@ -153,7 +153,7 @@ _POSITIVE = ("K_rc", "K_te", "K_re", "K_rc11")
 
 
 def range_notes(raw: Mapping[str, object]) -> Iterator[str]:
-    """Yield a note for each value of a job that is far from any machine's.
+    """Notes, one for each value of a job that is far from any machine's.
 
     Args:
         raw: The parsed TOML; faults in it are told elsewhere.
@@ -174,7 +174,7 @@ def range_notes(raw: Mapping[str, object]) -> Iterator[str]:
 
 
 def _usual(key: str) -> tuple[_Range, ...]:
-    """Return the ranges of a key; coefficients of all laws are of two kinds."""
+    """Usual ranges of a key; coefficients of all laws are of two kinds."""
     for names in _OF_NAMES:
         key = names if key.startswith(f"{names}.") else key
     table, _, name = key.partition(".")
@@ -187,14 +187,14 @@ def _usual(key: str) -> tuple[_Range, ...]:
 
 
 def _is_negative(key: str, value: object) -> bool:
-    """Return whether a coefficient is below 0 that no material has so."""
+    """True if a coefficient is below 0 that no material has so."""
     table, _, name = key.partition(".")
     is_meant = table == "force" and name.removeprefix("bottom.") in _POSITIVE
     return is_meant and isinstance(value, str) and value.lstrip().startswith("-")
 
 
 def _leaves(value: object, place: str, key: str) -> Iterator[tuple[str, str, object]]:
-    """Yield the values of a table with their place and their key."""
+    """Values of a table with their place and their key."""
     if isinstance(value, Mapping):
         for name, inner in value.items():
             where = f"{place} {name}" if place else f"[{name}]"
@@ -207,7 +207,7 @@ def _leaves(value: object, place: str, key: str) -> Iterator[tuple[str, str, obj
 
 
 def _outside(text: str, ranges: tuple[_Range, ...]) -> tuple[str, str] | None:
-    """Return the range of a quantity that it is outside of."""
+    """Usual range of a quantity outside of it, else None."""
     for usual in ranges:
         try:
             size = abs(q.quantity(text, usual.kind))
@@ -220,7 +220,7 @@ def _outside(text: str, ranges: tuple[_Range, ...]) -> tuple[str, str] | None:
 
 
 def _number_outside(value: object, key: str) -> tuple[str, str] | None:
-    """Return the range of a plain number that it is outside of."""
+    """Usual range of a plain number outside of it, else None."""
     if not isinstance(value, int | float) or isinstance(value, bool):
         return None
     key = key.replace("force.bottom.", "force.")

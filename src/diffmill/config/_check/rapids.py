@@ -19,7 +19,7 @@ _SAME_LENGTH, _NO_VOLUME = 1e-9, 1e-15
 def check_overhang(
     tool: CutterTable | None, robot: RobotTable | None, problems: list[str]
 ) -> None:
-    """Note a cutter that sticks out of its holder by two different lengths."""
+    """Fault of a cutter with two different overhangs."""
     own = None if tool is None else tool.overhang
     bending = None if robot is None else robot.bending_tool
     if own is not None and bending is not None:
@@ -37,7 +37,7 @@ def check_rapids(
     plan: StockPlan,
     context: FileContext,
 ) -> None:
-    """Note a start in the stock, rapids through it once per line, and the holder."""
+    """Faults of rapid moves through the stock, notes of a start in it and a holder."""
     contacts = ToolContacts.along(path, plan.make(), cutter, holder)
     if holder is not None:
         # A holder that is drawn straight back goes into nothing new.
@@ -57,7 +57,7 @@ def check_rapids(
 
 
 def _draws_back(path: Path) -> Bool[np.ndarray, " step"]:
-    """Return the rows to which the tool moves along its axis, or not at all.
+    """True in rows to which the tool moves along its axis, or not at all.
 
     The first row of a rapid move counts too: part of the way to it is a feed.
     """
@@ -73,7 +73,7 @@ def _draws_back(path: Path) -> Bool[np.ndarray, " step"]:
 def _note_rapids(
     path: Path, depth: Float[np.ndarray, " step"], what: str, problems: list[str]
 ) -> None:
-    """Note the first row of each program line whose rapid move goes through stock."""
+    """Faults of rapid moves through the stock: the first row of each program line."""
     lines = np.asarray(path.line)
     rows = np.flatnonzero(depth > 0)
     _, first = np.unique(lines[rows], return_index=True)
@@ -91,12 +91,12 @@ def _note_rapids(
 def tool_notes(
     path: Path, shank_volume: Float[np.ndarray, " step"], contacts: ToolContacts | None
 ) -> tuple[str, ...]:
-    """Return where parts of the tool that do not cut are in the stock.
+    """Notes of the shank and the holder in the stock.
 
     Args:
         path: The path.
-        shank_volume: What the shank takes at each row [m^3], shape (step,).
-        contacts: What was found of the holder along the path, or None without one.
+        shank_volume: Volume of stock within the shank [m^3], shape (step,).
+        contacts: Contacts of the holder along the path; None without a holder.
 
     Returns:
         Nothing, or one line each for the shank and for the holder.
@@ -106,11 +106,11 @@ def tool_notes(
 
 
 def holder_notes(path: Path, contacts: ToolContacts) -> tuple[str, ...]:
-    """Return where the tool holder touches the stock, or nothing.
+    """Note of the tool holder in the stock.
 
     Args:
         path: The path.
-        contacts: What was found along it.
+        contacts: Contacts of the holder along it.
 
     Returns:
         Nothing, or one line: the first place, the deepest contact, how many rows, and
@@ -134,11 +134,11 @@ def holder_notes(path: Path, contacts: ToolContacts) -> tuple[str, ...]:
 
 
 def _shank_notes(path: Path, volume: Float[np.ndarray, " step"]) -> tuple[str, ...]:
-    """Return where the shank above the flutes takes stock, or nothing.
+    """Note of the shank above the flutes in the stock.
 
     Args:
         path: The path.
-        volume: What the shank takes at each row [m^3], shape (step,).
+        volume: Volume of stock within the shank [m^3], shape (step,).
 
     Returns:
         Nothing, or one line: the first place, the volume, and how many rows.

@@ -1,4 +1,4 @@
-"""Whether the robot of a job can follow its path: reach, limits, branch, poses."""
+"""Reach of a job's robot along its path: limits, configuration, singular poses."""
 
 from typing import Any, NamedTuple
 
@@ -60,7 +60,7 @@ class ReachCheck(NamedTuple):
     def joints(
         self, path: Path, context: FileContext, *, is_slowed: bool = False
     ) -> Float[np.ndarray, "step joint"]:
-        """Note where the robot cannot follow a path, and from where it could.
+        """Joint positions along a path; a fault where the robot cannot follow it.
 
         Args:
             path: Desired path.
@@ -108,7 +108,7 @@ def _follow(
     start: Float[np.ndarray, " joint"],
     tool_rotation: ToolRotation,
 ) -> JointSolution:
-    """Return the joints along a path, on the host."""
+    """Joints along a path, on the host."""
     return jax.device_get(
         inverse_kinematics_path(robot, Ts, start, tool_rotation=tool_rotation)
     )
@@ -117,7 +117,7 @@ def _follow(
 def _faults(
     robot: Robot, path: Path, Ts: Float[np.ndarray, "step 4 4"], found: JointSolution
 ) -> list[str]:
-    """Return why the robot cannot follow a path."""
+    """Faults for which the robot cannot follow a path."""
     faults: list[str] = []
     if not found.converged.all():
         faults.append(_unreached(path, Ts, found))
@@ -133,7 +133,7 @@ def _better_start(
     start: Float[np.ndarray, " joint"],
     tool_rotation: ToolRotation,
 ) -> Float[np.ndarray, " joint"] | None:
-    """Return joints, rounded, from where a path can be followed; None if not found."""
+    """Joints, rounded, from which the robot can follow a path; None if not found."""
     grid = np.array([_ROUNDING[kind] for kind in robot.joint_kinds])
     for q in path_starts(robot, Ts, start, tool_rotation=tool_rotation)[:_TRIED]:
         rounded = np.round(q / grid) * grid
@@ -144,7 +144,7 @@ def _better_start(
 
 
 def _start_line(robot: Robot, q: Float[np.ndarray, " joint"]) -> str:
-    """Return the key of a job that lets the arm start at given joints."""
+    """Key of a job that lets the arm start at given joints."""
     kinds = robot.joint_kinds[: len(q)]
     values = [
         f'"{1e3 * x:.0f} mm"' if kind == "prismatic" else f'"{np.rad2deg(x):.1f} deg"'
@@ -156,7 +156,7 @@ def _start_line(robot: Robot, q: Float[np.ndarray, " joint"]) -> str:
 def _unreached(
     path: Path, Ts: Float[np.ndarray, "step 4 4"], found: JointSolution
 ) -> str:
-    """Return the line about poses out of reach."""
+    """Fault of poses out of reach."""
     is_bad = ~np.asarray(found.converged)
     k = int(np.argmax(is_bad))
     x, y, z = Ts[k, :3, 3] * 1e3
@@ -174,7 +174,7 @@ def _unreached(
 def _check_limits(
     robot: Robot, path: Path, found: JointSolution, problems: list[str]
 ) -> None:
-    """Note joints beyond their limits in rows that are reached."""
+    """Faults of joints beyond their limits in rows within reach."""
     lower, upper = np.asarray(robot.joint_lower), np.asarray(robot.joint_upper)
     is_over = np.asarray(found.limit_excess) > _LIMIT_SLACK
     is_over &= np.asarray(found.converged)[:, None]
@@ -194,7 +194,7 @@ def _check_limits(
 def _check_speed(
     robot: Robot, path: Path, found: JointSolution, problems: list[str]
 ) -> None:
-    """Note joints that would have to move faster than they can."""
+    """Faults of joints that would have to move faster than they can."""
     if robot.joint_speed is None or path.step_count < 2:
         return
     allowed = np.asarray(robot.joint_speed)
@@ -220,7 +220,7 @@ def _check_branch(
     found: JointSolution,
     problems: list[str],
 ) -> None:
-    """Note where the arm changes configuration between two rows."""
+    """Fault of an arm that changes its configuration between two rows."""
     tips, is_reached = Ts[:, :3, 3], np.asarray(found.converged)
     q = np.asarray(found.q)
     length = np.linalg.norm(np.diff(tips, axis=0, prepend=tips[:1]), axis=1)
@@ -248,7 +248,7 @@ def _note_singular(
     tool_rotation: ToolRotation,
     notes: list[str],
 ) -> None:
-    """Note the pose nearest to a singular one, if it is near."""
+    """Note of the pose nearest to a singular one, if it is near."""
     rows = padded_count(path.step_count)
     near = _singularities(robot, pad_rows(found.q, rows), tool_rotation)
     near = jax.device_get(first_rows(near, path.step_count))
@@ -275,7 +275,7 @@ def _singularities(robot: Robot, rows: FloatRows, tool_rotation: ToolRotation) -
 
 
 def at_row(path: Path, k: int) -> str:
-    """Return line, time and position of a row of a path."""
+    """Line, time and position of a row of a path."""
     x, y, z = np.asarray(path.positions)[k] * 1e3
     line = int(np.asarray(path.line)[k])
     where = f"program line {line}, " if line else ""

@@ -1,4 +1,4 @@
-"""Checking the tables of a job alone, before what takes seconds is imported."""
+"""Check of the tables of a job alone, before JAX is imported."""
 
 import os
 import pathlib

@@ -72,7 +72,7 @@ class FlangeSpringTable(TomlTable):
     )
 
     def notes(self) -> tuple[str, ...]:
-        """Return that mass and inertia are not those of one body."""
+        """Note of a mass and an inertia that are not those of one body."""
         radii = [math.sqrt(inertia / self.mass) for inertia in self.inertia]
         if _LEAST_RADIUS <= min(radii) and max(radii) <= _MOST_RADIUS:
             return ()
@@ -109,7 +109,7 @@ class BendingToolTable(TomlTable):
     )
 
     def notes(self, diameter: float) -> tuple[str, ...]:
-        """Return which lengths are none of a cutter of a diameter [m]."""
+        """Notes of lengths that are unusual for a cutter of a diameter [m]."""
         shank = diameter if self.shank_diameter is None else self.shank_diameter
         widest = max(_MOST_SHANK, _SHANK_OF_SMALL / diameter)
         return tuple(
@@ -126,7 +126,7 @@ class BendingToolTable(TomlTable):
 def with_spring(
     robot: "Robot", table: FlangeSpringTable | None, problems: list[str]
 ) -> "Robot":
-    """Return the robot with the springs of a table at its flange.
+    """Robot with the springs of a table at its flange.
 
     Args:
         robot: The robot.
@@ -153,7 +153,7 @@ def with_spring(
 def with_bending_cutter(
     robot: "Robot", table: BendingToolTable | None, cutter: "AbstractCutter | None"
 ) -> "Robot":
-    """Return the robot with a cutter that bends.
+    """Robot with a cutter that bends.
 
     Args:
         robot: The robot with its tool and the springs of its flange.

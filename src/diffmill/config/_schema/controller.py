@@ -77,7 +77,7 @@ class ControllerTable(TomlTable):
     )
 
     def controller(self, joint_count: int, added: int) -> "Controller | None":
-        """Return the controller; None if it is ideal.
+        """Controller of the table; None if it is ideal.
 
         Args:
             joint_count: Joints of the robot as its file has it.
@@ -119,7 +119,7 @@ class ControllerTable(TomlTable):
 def _with_virtual(
     found: dict[str, Float[np.ndarray, " motor"]], added: int
 ) -> dict[str, Float[np.ndarray, " joint"]]:
-    """Return values of each joint, those without a motor included.
+    """Values of all joints, also of those without a motor.
 
     These do not move; they get values with which the mean lag of the servos, 1 / w or
     2 zeta / w, stays that of the motors.
@@ -133,14 +133,14 @@ def _with_virtual(
 
 @functools.cache
 def controller_presets() -> dict[str, dict[str, object]]:
-    """Return the tables that `[controller] preset` names, with the ideal one."""
+    """Tables of the presets by their names, with the ideal one."""
     # Of the package itself, since its part `robot` imports JAX.
     file = resources.files("diffmill").joinpath("robot", "controllers.toml")
     return {_IDEAL: {}} | tomllib.loads(file.read_text(encoding="utf-8"))
 
 
 def read_controller(raw: object, problems: list[str]) -> ControllerTable | None:
-    """Check `[controller]`: its own keys count before those of its preset.
+    """Checked table `[controller]`: its own keys count before those of its preset.
 
     Args:
         raw: What the file holds.

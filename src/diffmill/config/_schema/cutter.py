@@ -203,7 +203,7 @@ class CutterTable(TomlTable):
 
 
 def make_holder(table: CutterTable) -> "ToolHolder | None":
-    """Return the tool holder of a checked table, if it has one."""
+    """Tool holder of a checked table, if it has one."""
     from ...cutter import ToolHolder
 
     if table.holder is None or table.overhang is None:
@@ -217,7 +217,7 @@ def make_holder(table: CutterTable) -> "ToolHolder | None":
 
 
 def make_cutter(table: CutterTable) -> "EndMill":
-    """Return the end mill of a checked table."""
+    """End mill of a checked table."""
     from ...cutter import ball_end_mill, bull_nose, flat_end_mill
 
     flute_length = table.flute_length

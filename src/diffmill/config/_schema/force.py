@@ -90,7 +90,7 @@ class ForceTables(NamedTuple):
     def laws(
         self, cutter: "AbstractCutter"
     ) -> "tuple[AbstractForceLaw, AbstractForceLaw | None]":
-        """Return the laws of side and bottom.
+        """Force laws of side and bottom.
 
         Tables of materials print the size of the axial coefficients of the side; their
         sign is that of the hand of the helix.
@@ -108,7 +108,7 @@ class ForceTables(NamedTuple):
         return law, None if self.bottom is None else _law(self.bottom)
 
     def _axial_sizes(self, cutter: "AbstractCutter") -> tuple[str, ...]:
-        """Return the coefficients of which a table prints the size alone."""
+        """Coefficients of which a material's table prints the size alone."""
         from ...cutting import LinearEdgeLaw
 
         if not (cutter.has_helix and isinstance(self.side, MaterialTable)):
@@ -123,7 +123,7 @@ class ForceTables(NamedTuple):
         return tuple(name for name in names if float(getattr(law, name)) > 0)
 
     def notes(self, cutter: "AbstractCutter") -> tuple[str, ...]:
-        """Return what the user should know about the coefficients."""
+        """Notes on unusual coefficients, and on signs that follow the helix."""
         found = [f"[force] {note}" for note in self.side.unusual()]
         if self.bottom is not None:
             found += [f"[force.bottom] {note}" for note in self.bottom.unusual()]
@@ -147,7 +147,7 @@ class ForceTables(NamedTuple):
         )
 
     def check_teeth(self, teeth: int, problems: list[str]) -> None:
-        """Note coefficients per tooth that are more or fewer than the teeth."""
+        """Faults of coefficients per tooth that are more or fewer than the teeth."""
         for place, table in (("[force]", self.side), ("[force.bottom]", self.bottom)):
             for key, value in {} if table is None else vars(table).items():
                 if isinstance(value, list) and len(value) != teeth:
@@ -158,7 +158,7 @@ class ForceTables(NamedTuple):
 
 
 def read_force(raw: object, problems: list[str]) -> ForceTables | None:
-    """Check `[force]` and the table `bottom` within it.
+    """Checked table `[force]`, and the table `bottom` within it.
 
     Args:
         raw: What the file holds.
@@ -183,7 +183,7 @@ def read_force(raw: object, problems: list[str]) -> ForceTables | None:
 def _read_one(
     raw: object, place: str, problems: list[str], also: tuple[str, ...]
 ) -> _ForceTable | None:
-    """Return one checked table; what it holds says which kind it is."""
+    """Checked table of a material, or of the law that it names."""
     found = raw if isinstance(raw, dict) else {}
     if "material" in found:
         others = ", ".join(key for key in found if key != "material")

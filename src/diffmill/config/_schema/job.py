@@ -294,7 +294,7 @@ class JobTables:
 
 
 def read_tables(raw: Mapping[str, object], problems: list[str]) -> JobTables:
-    """Check all tables of a job.
+    """Checked tables of a job.
 
     Args:
         raw: The parsed TOML.
@@ -354,7 +354,7 @@ def read_tables(raw: Mapping[str, object], problems: list[str]) -> JobTables:
 
 
 def _has_table(raw: Mapping[str, object], name: str, problems: list[str]) -> bool:
-    """Return whether a table is to be checked; note one that is missing."""
+    """True if a table is to be checked; a required one that is missing is a fault."""
     if name in raw or name in OPTIONAL_TABLES:
         return True
     if name == "machine" or (name == "robot" and is_machine(raw)):

@@ -44,7 +44,7 @@ class ModeTable(TomlTable):
     )
 
     def shape(self) -> Float[np.ndarray, " 3"]:
-        """Return the motion of the tip for a modal mass of 1 kg [kg^-1/2]."""
+        """Mode shape at the tip for a modal mass of 1 kg [kg^-1/2], shape (3,)."""
         way = np.asarray(self.direction, np.float64)
         way = way / np.linalg.norm(way)
         if self.mass is not None:
@@ -53,7 +53,7 @@ class ModeTable(TomlTable):
         return way * (2 * np.pi * self.frequency) / np.sqrt(self.stiffness)
 
     def check(self, place: str, problems: list[str]) -> None:
-        """Note what is wrong with the mode as a whole."""
+        """Faults of the mode's keys together."""
         if (self.stiffness is None) == (self.mass is None):
             found = "nothing" if self.mass is None else "both"
             problems.append(
@@ -91,7 +91,7 @@ class MachineTable(TomlTable):
     )
 
     def carries(self) -> Float[np.ndarray, " 3"]:
-        """Return 1 for the axes along which the tool is moved, 0 for the workpiece."""
+        """Weight of each axis, shape (3,): 1 if the tool moves there, 0 if the work."""
         return np.array([float(axis in self.tool_axes) for axis in _AXES])
 
 
@@ -104,5 +104,5 @@ class ModesFile(TomlTable):
 
 
 def is_machine(raw: Mapping[str, object]) -> bool:
-    """Return whether a job has a machine of modes and no robot."""
+    """True if a job has a machine of modes and no robot."""
     return "machine" in raw and "robot" not in raw
