@@ -21,7 +21,7 @@ CONFIG = PACKAGE / "config"
 AREAS = (
     *("cutter", "cutting", "workpiece", "toolpath", "robot", "process", "sim"),
     *("correction", "identification", "io", "config", "campaign", "viz", "examples"),
-    *("numerics", "optimise", "units"),
+    *("settings", "numerics", "optimise", "units"),
 )
 # Tables in the order of their pages; first are keys that belong to no table alone.
 TABLES = (

@@ -1,7 +1,5 @@
 """`[correction]`: objective, weights and bounds as a job file says them."""
 
-import dataclasses
-
 import pytest
 
 from diffmill import (
@@ -45,12 +43,9 @@ def problems(job_file):
 
 
 def test_what_a_job_leaves_out_is_what_scripts_leave_out(job_file):
-    # Tables and settings each state their defaults: tables know nothing of JAX.
-    job = load_job(job_file("uncertainty = {}"))
-    assert job.correction.uncertainty == UncertaintySettings()
+    job = load_job(job_file())
     # This one is for programs: a script's command may be anything.
-    plain = CorrectionSettings(acceleration_factor=2.0)
-    assert dataclasses.replace(job.correction, uncertainty=None) == plain
+    assert job.correction == CorrectionSettings(acceleration_factor=2.0)
     # These follow from path, machine and cutter.
     own = job.simulation
     sizes = (

@@ -153,12 +153,8 @@ def _swept(entry: SweepTable, tables: Tables, problems: list[str]) -> Variation:
         except (LookupError, ValueError) as error:
             problems.append(f"[[sweep]] {entry.key}: factors: {error.args[0]}")
     changes = tuple({entry.key: value} for value in values)
-    return Variation(_dimension(entry.key), changes, factors)
-
-
-def _dimension(key: str) -> str:
-    """Return the name of a key as a variable of a dataset."""
-    return key.replace(".", "_").replace("-", "_")
+    dimension = entry.key.replace(".", "_").replace("-", "_")
+    return Variation(dimension, changes, factors)
 
 
 def _starts(table: CampaignTable) -> Variation:

@@ -417,7 +417,12 @@ def _timed(tables: JobTables, parts: _Parts, problems: list[str]) -> _Parts:
         return parts
     if isinstance(program, Path):
         return parts._replace(path=recorded_path(program, period, problems))
-    _check_ramp(table, parts.robot, problems)
+    speed = None if parts.robot is None else parts.robot.joint_speed
+    if table.joint_ramp > 0 and (speed is None or not np.isfinite(speed).any()):
+        problems.append(
+            "[program] joint_ramp: found one, but no joint has a speed; give the robot "
+            "speeds, or leave it out"
+        )
     timed = time_program(program, table, problems)
     return parts if timed is None else _with_rows(parts, timed, problems)
 
@@ -436,16 +441,6 @@ def _with_rows(parts: _Parts, timed: TimedProgram, problems: list[str]) -> _Part
             return parts._replace(timed=timed, path=None)
         path = path.with_standstill(math.ceil(rest))
     return parts._replace(timed=timed, path=path)
-
-
-def _check_ramp(table: ProgramTable, robot: Robot | None, problems: list[str]) -> None:
-    """Fault of a ramp of joints whose speeds are not known."""
-    speed = None if robot is None else robot.joint_speed
-    if table.joint_ramp > 0 and (speed is None or not np.isfinite(speed).any()):
-        problems.append(
-            "[program] joint_ramp: found one, but no joint has a speed; give the robot "
-            "speeds, or leave it out"
-        )
 
 
 def _assemble(
@@ -665,24 +660,16 @@ def _check_simulation(
             f'[simulation] chip: found "{chip.name}", which a flat cutter with even '
             f"pitch and without run-out is required for; others take {', '.join(free)}"
         )
-    if table.stability == "full":
-        _check_vibrates(table, problems, is_rigid=is_rigid)
-    if table.has_sensitivity and is_rigid:
-        problems.append(
-            "[simulation] sensitivity: found true, but with rigid = true no parameter "
-            "moves the tool; only false is allowed"
-        )
-
-
-def _check_vibrates(
-    table: SimulationSettings, problems: list[str], *, is_rigid: bool
-) -> None:
-    """Fault of a search for chatter on a machine that cannot vibrate."""
-    if is_rigid or table.mode == "quasistatic":
+    if table.stability == "full" and (is_rigid or table.mode == "quasistatic"):
         why = "rigid = true" if is_rigid else 'mode = "quasistatic"'
         problems.append(
             f"[simulation] stability: found true, but with {why} nothing vibrates; "
             'only false or "quick" is allowed'
+        )
+    if table.has_sensitivity and is_rigid:
+        problems.append(
+            "[simulation] sensitivity: found true, but with rigid = true no parameter "
+            "moves the tool; only false is allowed"
         )
 
 

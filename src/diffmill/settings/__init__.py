@@ -9,3 +9,20 @@ Assumptions: what is built from settings is beside the science that they are for
 Left out: JAX, so that a job's tables are checked before it is imported; what follows
 from other tables, which `diffmill.config` fills in.
 """
+
+import importlib
+from types import ModuleType
+
+_MODULES = ("base", "correction", "fields", "force", "output", "simulation", "tables")
+
+
+def __getattr__(name: str) -> ModuleType:
+    """Import a module when it is first used."""
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return importlib.import_module(f".{name}", __name__)
+
+
+def __dir__() -> list[str]:
+    """Names of the modules, imported or not."""
+    return sorted({*globals(), *_MODULES})

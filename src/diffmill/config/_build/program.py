@@ -76,11 +76,13 @@ def read_program(table: ProgramTable, context: FileContext) -> Program | Path | 
         context.problems.append(f"[program] tool: {error}")
         return None
     context.notes.extend(f"[program] {note}" for note in program.notes)
-    if table.feed is not None and not _uses(chosen, table.feed):
-        context.notes.append(
-            "[program] feed: without effect, since the program says a feed for every "
-            "move"
-        )
+    if (feed := table.feed) is not None:
+        feeds = [move.feed for move in chosen.moves if not move.is_rapid]
+        if not any(own is None or math.isclose(own, feed) for own in feeds):
+            context.notes.append(
+                "[program] feed: without effect, since the program says a feed for "
+                "every move"
+            )
     if len(program.sections) > 1:
         context.notes.append(_tool_note(program, chosen))
     return chosen
@@ -213,12 +215,6 @@ def _check_recorded(table: ProgramTable, context: FileContext) -> None:
         for key in stated
         if key not in _WITHOUT_EFFECT
     )
-
-
-def _uses(program: Program, feed: float) -> bool:
-    """True if a cutting move of the program goes at the feed of the job."""
-    cuts = [move for move in program.moves if not move.is_rapid]
-    return any(move.feed is None or math.isclose(move.feed, feed) for move in cuts)
 
 
 def _problems(text: str) -> list[str]:

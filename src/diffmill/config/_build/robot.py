@@ -71,7 +71,10 @@ def read_robot(
         )
         return FittedRobot()
     if table.rigid:
-        _refuse_with_rigid(table, problems)
+        problems.extend(
+            f"[robot] {key}: found beside rigid = true, which allows no other key"
+            for key in sorted(table.model_fields_set - {"rigid"})
+        )
         return FittedRobot()
     if table.work_in_base is None and not is_placed:
         problems.append(
@@ -138,13 +141,6 @@ def _tool_notes(T_flange_tool: Float[np.ndarray, "4 4"]) -> list[str]:
         "of the tool goes up its shank, so that a flange whose z points out needs a "
         'turn such as rpy = ["180 deg", "0 deg", "0 deg"]'
     ]
-
-
-def _refuse_with_rigid(table: RobotTable, problems: list[str]) -> None:
-    for key in sorted(table.model_fields_set - {"rigid"}):
-        problems.append(
-            f"[robot] {key}: found beside rigid = true, which allows no other key"
-        )
 
 
 def _per_joint(

@@ -46,7 +46,8 @@ def drawn_values(
     units = [_unit_draw(entry.kind, stream) for _ in range(table.draws)]
     if entry.kind == "uniform":
         first, second = (first + second) / 2, (second - first) / 2
-    return [_text(first + second * unit_draw, unit) for unit_draw in units]
+    values = [first + second * unit_draw for unit_draw in units]
+    return [f"{value!r} {unit}" if unit else value for value in values]
 
 
 def _allow_only(entry: DrawTable, names: tuple[str, ...]) -> None:
@@ -120,7 +121,3 @@ def _scattered(value: object, entry: DrawTable, stream: np.random.Generator) -> 
     step = entry.relative * _unit_draw(entry.kind, stream)
     factor = math.exp(step) if entry.kind == "lognormal" else 1 + step
     return scaled(value, factor, entry.key)
-
-
-def _text(number: float, unit: str) -> object:
-    return f"{number!r} {unit}" if unit else number

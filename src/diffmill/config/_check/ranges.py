@@ -159,7 +159,9 @@ def range_notes(raw: Mapping[str, object]) -> Iterator[str]:
         raw: The parsed TOML; faults in it are told elsewhere.
     """
     for place, key, value in _leaves(raw, "", ""):
-        if _is_negative(key, value):
+        table, _, name = key.partition(".")
+        is_positive = table == "force" and name.removeprefix("bottom.") in _POSITIVE
+        if is_positive and isinstance(value, str) and value.lstrip().startswith("-"):
             yield f"{place}: found {value!r}; below 0 is unusual: is its sign meant?"
         if isinstance(value, str):
             found = _outside(value, _usual(key))
@@ -184,13 +186,6 @@ def _usual(key: str) -> tuple[_Range, ...]:
             name = "K_e" if name.endswith("e") else "K_c"
         key = f"force.{name}"
     return _USUAL.get(key, ())
-
-
-def _is_negative(key: str, value: object) -> bool:
-    """True if a coefficient is below 0 that no material has so."""
-    table, _, name = key.partition(".")
-    is_meant = table == "force" and name.removeprefix("bottom.") in _POSITIVE
-    return is_meant and isinstance(value, str) and value.lstrip().startswith("-")
 
 
 def _leaves(value: object, place: str, key: str) -> Iterator[tuple[str, str, object]]:

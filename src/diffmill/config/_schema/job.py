@@ -318,8 +318,15 @@ def read_tables(raw: Mapping[str, object], problems: list[str]) -> JobTables:
     def read(
         name: str, check: Callable[[object, list[str]], _Table | None]
     ) -> _Table | None:
-        is_there = _has_table(raw, name, problems)
-        return check(raw.get(name, {}), problems) if is_there else None
+        if name in raw or name in OPTIONAL_TABLES:
+            return check(raw.get(name, {}), problems)
+        if name == "machine" or (name == "robot" and is_machine(raw)):
+            return None
+        hint = ""
+        if name == "robot":
+            hint = " (rigid = true stands for no robot), or [machine]"
+        problems.append(f"[{name}]: found no such table, but it is required{hint}")
+        return None
 
     def table(name: str, kind: type[_Toml]) -> _Toml | None:
         return read(
@@ -351,16 +358,3 @@ def read_tables(raw: Mapping[str, object], problems: list[str]) -> JobTables:
             for key in keys
         ),
     )
-
-
-def _has_table(raw: Mapping[str, object], name: str, problems: list[str]) -> bool:
-    """True if a table is to be checked; a required one that is missing is a fault."""
-    if name in raw or name in OPTIONAL_TABLES:
-        return True
-    if name == "machine" or (name == "robot" and is_machine(raw)):
-        return False
-    hint = ""
-    if name == "robot":
-        hint = " (rigid = true stands for no robot), or [machine]"
-    problems.append(f"[{name}]: found no such table, but it is required{hint}")
-    return False
