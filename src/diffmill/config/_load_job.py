@@ -5,27 +5,23 @@ import math
 import os
 import pathlib
 from collections.abc import Mapping
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from .._job import Job
 from .._toml import JobError, read_toml
-from .._types import FloatRows3
-from ..cutter import AbstractCutter, ToolHolder
-from ..process import Immersion, default_element_height
-from ..robot import Controller, Robot, TipModes
+from ..robot import Controller, Robot
 from ..settings.correction import CorrectionSettings
 from ..settings.output import OutputSettings
-from ..settings.simulation import ChipSettings, SimulationSettings
+from ..settings.simulation import SimulationSettings
 from ..settings.tables import idle_keys
 from ..toolpath import Path, Program, TimedProgram
 from ._build.context import FileContext
-from ._build.correction import check_correction, completed_correction
+from ._build.correction import completed_correction
 from ._build.machine import fastest_mode, read_machine
+from ._build.parts import JobParts
 from ._build.program import (
-    check_sections,
     commanded_tips,
     note_rounding,
     read_program,
@@ -37,20 +33,17 @@ from ._build.program import (
     time_program,
 )
 from ._build.robot import pose_matrix, read_robot
-from ._build.stock import StockPlan, read_stock
+from ._build.simulation import completed_simulation
+from ._build.stock import read_stock
 from ._changes import changed, changes_text
 from ._check.end_force import end_notes
 from ._check.frames import base_note, program_base, tool_note
 from ._check.modes import (
     LONGEST_SUBSTEP,
-    check_constant_force,
-    check_modes,
     check_sag,
     counting_modes,
-    default_substeps,
-    default_updates,
 )
-from ._check.notes import immersion, notes, rate_notes
+from ._check.notes import notes, rate_notes
 from ._check.ranges import range_notes
 from ._check.rapids import check_overhang, check_rapids
 from ._check.reach import ReachCheck
@@ -62,10 +55,6 @@ from ._schema.job import (
     read_tables,
 )
 
-# Room below the deepest disc [m].
-_ROOM = 0.6e-3
-# Samples per revolution: of a flat cutter that stands upright, and of any other.
-_FEWEST_ANGLES, _FEWEST_IN_SPACE = 180, 96
 # Delays of its controller for which a program is at rest before and after it.
 _REST = 3.0
 # How often a program is slowed down for joints: what they do between two rows shows
@@ -73,10 +62,6 @@ _REST = 3.0
 _PASSES = 3
 # As `TimedProgram.path` takes, before there is a rest.
 _MOST_STEPS = 1_000_000
-# Discs of a cutter: each has samples of its own at every angle.
-_MOST_DISCS = 10_000
-# Of a length that is written down with a few digits.
-_ROUNDING = 1e-6
 
 
 def load_job(
@@ -124,7 +109,7 @@ def load_job(
     # A speed that is asked for beside the file counts before the program's.
     is_asked = "spindle.speed" in (changes or {})
     parts = _read_parts(tables, context, overrides_speed=is_asked)
-    simulation = _simulation(tables, parts, context)
+    simulation = completed_simulation(tables, parts, context)
     if context.problems or simulation is None:
         raise JobError(path, context.problems)
     return _assemble(path.stem, text, tables, parts, simulation, context.notes)
@@ -161,54 +146,9 @@ def _check_program(raw: object, context: FileContext) -> None:
         read_program(table, context)
 
 
-class _Parts(NamedTuple):
-    """Parts of a job; None where a fault keeps one from being there.
-
-    Attributes:
-        program: The program, before it is timed.
-        speed: Spindle speed [rad/s].
-        cutter: The cutter.
-        holder: Its holder, if the job has one.
-        stock: The stock.
-        robot: The robot; None for a rigid machine and one of modes.
-        T_base_work: Maps work coordinates to the robot's base, shape (4, 4).
-        joint_start: Where inverse kinematics starts [rad or m]; None for home.
-        path: The path with a row per tooth period.
-        controller: What is between program and motors; None for nothing.
-        fastest: Highest frequency of the machine that counts [Hz]; 0 for none.
-        modes: The modes of a machine that is given by them, else None.
-        timed: The program with the speed at every place of it; None for a recorded
-            path.
-        commanded: Tips that the controller is told instead of the path's, if any.
-        joints: Joints of the robot along the path [rad or m], if they are known.
-    """
-
-    program: Program | Path | None
-    speed: float | None
-    cutter: AbstractCutter | None
-    holder: ToolHolder | None
-    stock: StockPlan | None
-    robot: Robot | None
-    T_base_work: Float[np.ndarray, "4 4"]
-    joint_start: Float[np.ndarray, " joint"] | None
-    path: Path | None
-    controller: Controller | None = None
-    fastest: float = 0.0
-    modes: TipModes | None = None
-    timed: TimedProgram | None = None
-    commanded: FloatRows3 | None = None
-    joints: Float[np.ndarray, "step joint"] | None = None
-
-    @property
-    def tooth_period(self) -> float:
-        """Tooth period [s] of a job with a cutter and a speed."""
-        assert self.speed is not None and self.cutter is not None
-        return 2 * math.pi / (self.speed * self.cutter.flute_count)
-
-
 def _read_parts(
     tables: JobTables, context: FileContext, *, overrides_speed: bool
-) -> _Parts:
+) -> JobParts:
     """Parts that checked tables state, with the path and the robot along it."""
     problems = context.problems
     program, speed, cutter, holder, stock, robot, start = (None,) * 7
@@ -243,7 +183,7 @@ def _read_parts(
         settings = tables.simulation
         precision = "float64" if settings is None else settings.precision
         stock = read_stock(tables.stock, precision, context)
-    parts = _Parts(
+    parts = JobParts(
         program, speed, cutter, holder, stock, robot, T_base_work, start, None
     )
     controller = _controller(tables, robot, problems)
@@ -305,7 +245,7 @@ def _standstill_rows(controller: Controller, tooth_period: float) -> float:
     return _REST * lag / tooth_period
 
 
-def _follow(tables: JobTables, parts: _Parts, context: FileContext) -> _Parts:
+def _follow(tables: JobTables, parts: JobParts, context: FileContext) -> JobParts:
     """Parts with the path that the robot follows, slowed down where a joint is slow.
 
     Args:
@@ -348,12 +288,12 @@ def _follow(tables: JobTables, parts: _Parts, context: FileContext) -> _Parts:
 
 
 def _slowed(
-    parts: _Parts,
+    parts: JobParts,
     checks: ReachCheck,
     q: Float[np.ndarray, "step joint"],
     ramp: float,
     context: FileContext,
-) -> tuple[_Parts, Float[np.ndarray, "slower joint"]]:
+) -> tuple[JobParts, Float[np.ndarray, "slower joint"]]:
     """Parts with a program whose joints keep their limits, and the joints.
 
     Args:
@@ -401,7 +341,7 @@ def _check_machine(tables: JobTables, problems: list[str]) -> None:
         )
 
 
-def _timed(tables: JobTables, parts: _Parts, problems: list[str]) -> _Parts:
+def _timed(tables: JobTables, parts: JobParts, problems: list[str]) -> JobParts:
     """Parts with the program as a path with a row per tooth period."""
     assert parts.cutter is not None and parts.speed is not None
     period, flutes = parts.tooth_period, parts.cutter.flute_count
@@ -427,7 +367,7 @@ def _timed(tables: JobTables, parts: _Parts, problems: list[str]) -> _Parts:
     return parts if timed is None else _with_rows(parts, timed, problems)
 
 
-def _with_rows(parts: _Parts, timed: TimedProgram, problems: list[str]) -> _Parts:
+def _with_rows(parts: JobParts, timed: TimedProgram, problems: list[str]) -> JobParts:
     """Parts with a timed program and its rows."""
     path = rows_of(timed, parts.tooth_period, problems)
     if path is not None and parts.controller is not None:
@@ -447,7 +387,7 @@ def _assemble(
     name: str,
     text: str,
     tables: JobTables,
-    parts: _Parts,
+    parts: JobParts,
     simulation: SimulationSettings,
     found: list[str],
 ) -> Job:
@@ -521,166 +461,3 @@ def _completed_output(
 def _is_free(table: RobotTable | None) -> bool:
     """True if the inverse kinematics chooses the rotation about the tool axis."""
     return table is not None and table.tool_rotation == "free"
-
-
-def _simulation(
-    tables: JobTables, parts: _Parts, context: FileContext
-) -> SimulationSettings | None:
-    """Numerical settings with those that follow from the job, and their faults."""
-    table, robot = tables.simulation, tables.robot
-    cutter, path, stock = parts.cutter, parts.path, parts.stock
-    problems = context.problems
-    if table is None or cutter is None or parts.speed is None:
-        return None
-    period = parts.tooth_period
-    fastest = parts.fastest if table.mode == "dynamic" else 0.0
-    substeps = table.substeps or default_substeps(period, fastest)
-    axes = _axes(path, table)
-    angles = _angles(table, cutter, substeps, not axes, problems)
-    deepest = None
-    if path is not None and stock is not None:
-        deepest = immersion(path, cutter, stock) + _ROOM
-    _check_simulation(tables, cutter, deepest, problems)
-    is_unknown = cutter.has_dish and (bool(axes) or not cutter.is_plain)
-    if table.has_bottom and is_unknown:
-        problems.append(
-            "[simulation] bottom_edges: found true, but with dish_angle they are known "
-            "only of a tool that stands upright, with even pitch and without run-out"
-        )
-    has_bottom = table.has_bottom
-    if has_bottom is None:
-        # A flat end on a machine that swings would be pressed onto every floor.
-        is_rigid = robot is not None and robot.rigid
-        has_bottom = (is_rigid or cutter.has_dish) and not is_unknown
-    if parts.modes is not None and parts.controller is not None and axes:
-        problems.append(
-            "[controller]: found beside [machine] and a tool that tilts, but it is "
-            "known of the axes x, y and z alone"
-        )
-    if table.scatter is not None and robot is not None and robot.rigid:
-        problems.append(
-            "[simulation] scatter: found a table, but the error to be expected is "
-            "known only of a machine that is not rigid"
-        )
-    if stock is None or path is None or deepest is None:
-        return None
-    height = table.element_height or default_element_height(
-        table.chip, stock.spacing, cutter
-    )
-    depth = table.axial_depth or deepest
-    if depth < (deepest - _ROOM) * (1 - _ROUNDING):
-        context.notes.append(
-            f"[simulation] axial_depth: found {depth * 1e3:g} mm, but the path goes "
-            f"{(deepest - _ROOM) * 1e3:g} mm below the top of the stock; what the tool "
-            "cuts farther above its tip is not computed"
-        )
-    if depth > _MOST_DISCS * height:
-        problems.append(
-            f"[simulation] element_height: found {height * 1e3:g} mm, for which a "
-            f"depth of {depth * 1e3:g} mm takes {depth / height:.3g} discs; at most "
-            f"{_MOST_DISCS} are allowed"
-        )
-    # A default below it has no effect on a job that is not corrected.
-    knots = tables.correction
-    if knots is not None and "correction.knot_spacing" in tables.stated:
-        if knots.knot_spacing < period:
-            problems.append(
-                f"[correction] knot_spacing: found {knots.knot_spacing * 1e3:g} ms, "
-                f"but at least the tooth period, {period * 1e3:g} ms, is required"
-            )
-    if parts.modes is not None:
-        check_constant_force(fastest, period / substeps, context.notes)
-    elif fastest > 0.0:
-        check_modes(fastest, period / substeps, context.notes)
-    if tables.correction is not None:
-        check_correction(tables.correction, cutter, not axes, problems, mode=table.mode)
-        check_sections(tables.correction.sections, parts.program, problems)
-    updates = default_updates(period, substeps)
-    return dataclasses.replace(
-        table,
-        angles=angles,
-        substeps=substeps,
-        element_height=height,
-        axial_depth=depth,
-        plunges=Immersion.is_plunging(path.positions, float(stock.upper[2])),
-        has_bottom=has_bottom,
-        axes=axes,
-        updates_per_period=updates if table.chip.updates_within_period else 1,
-    )
-
-
-def _angles(
-    table: SimulationSettings,
-    cutter: AbstractCutter,
-    substeps: int,
-    is_upright: bool,
-    problems: list[str],
-) -> int:
-    """Samples per revolution, a multiple of teeth x sub-steps."""
-    block = cutter.flute_count * substeps
-    fewest = _FEWEST_ANGLES if cutter.is_plain and is_upright else _FEWEST_IN_SPACE
-    angles = table.angles or block * math.ceil(fewest / block)
-    if angles < fewest or angles % block:
-        near = max(angles // block, math.ceil(fewest / block)) * block
-        problems.append(
-            f"[simulation] angles: found {angles}, but at least {fewest} and a "
-            f"multiple of teeth x substeps ({cutter.flute_count} x {substeps} = "
-            f"{block}) is required, such as {near}"
-        )
-    return angles
-
-
-def _check_simulation(
-    tables: JobTables,
-    cutter: AbstractCutter,
-    deepest: float | None,
-    problems: list[str],
-) -> None:
-    """Faults of settings beside the cutter or the machine.
-
-    Args:
-        tables: The checked tables of the job.
-        cutter: The cutter.
-        deepest: The depth that is taken if the job gives none [m], if it is known.
-        problems: Receives what is wrong.
-    """
-    table, robot = tables.simulation, tables.robot
-    assert table is not None
-    is_rigid = robot is not None and robot.rigid
-    most = max(cutter.flute_length, deepest or 0.0)
-    if table.axial_depth is not None and table.axial_depth > most * (1 + _ROUNDING):
-        problems.append(
-            f"[simulation] axial_depth: found {table.axial_depth * 1e3:g} mm; at most "
-            f"{most * 1e3:g} mm is allowed: the flute length, or the depth of the path"
-        )
-    chip, others = table.chip, ChipSettings.each()
-    if chip.needs_plain_cutter and not cutter.is_plain:
-        free = [f'"{k}"' for k, one in others.items() if not one.needs_plain_cutter]
-        problems.append(
-            f'[simulation] chip: found "{chip.name}", which a flat cutter with even '
-            f"pitch and without run-out is required for; others take {', '.join(free)}"
-        )
-    if table.stability == "full" and (is_rigid or table.mode == "quasistatic"):
-        why = "rigid = true" if is_rigid else 'mode = "quasistatic"'
-        problems.append(
-            f"[simulation] stability: found true, but with {why} nothing vibrates; "
-            'only false or "quick" is allowed'
-        )
-    if table.has_sensitivity and is_rigid:
-        problems.append(
-            "[simulation] sensitivity: found true, but with rigid = true no parameter "
-            "moves the tool; only false is allowed"
-        )
-
-
-def _axes(
-    path: Path | None, table: SimulationSettings
-) -> tuple[tuple[float, float, float], ...]:
-    """Directions of the tool, rounded; none if it stands upright."""
-    if path is None:
-        return ()
-    if not table.tilts and path.is_upright:
-        return ()
-    # They size arrays: neighbours are one.
-    rows = np.unique(np.round(np.asarray(path.axes), 2), axis=0)
-    return tuple((float(x), float(y), float(z)) for x, y, z in rows)
