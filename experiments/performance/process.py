@@ -222,7 +222,7 @@ def inputs(process, paths):
         "disc_count": cut.discs.count,
         "disc_height": cut.discs.height,
         "band": cut.discs.band,
-        "lag": cut.lag,
+        "removal_lag": cut.removal_lag,
         "window": cut.window.sizes,
         "slack": cut.window.slack,
         "origin": stock.origin,

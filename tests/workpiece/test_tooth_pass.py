@@ -32,12 +32,12 @@ def cut(request):
     mill = ct.flat_end_mill(2 * R, TEETH, request.param)
     window = wp.RemovalWindow.upright(STOCK, mill, 2.3e-3, D)
     time = np.arange(5 * SUBSTEPS + 1) / SUBSTEPS
-    # Feed along x: the tooth looks forward, at phi = pi / 2, in the middle of a period.
+    # Feed along x: the tooth points along it, phi = pi / 2, in the middle of a period.
     tooth = wp.ToothPass(
         nodes=wp.Pose(jnp.asarray(tip(time))),
         first=jnp.zeros((), jnp.int32),
-        forward=jnp.array([1.0, 0.0]),
-        passing=jnp.asarray(2.5 * SUBSTEPS),
+        feed_direction=jnp.array([1.0, 0.0]),
+        passing_node=jnp.asarray(2.5 * SUBSTEPS),
         last=jnp.asarray(5.0 * SUBSTEPS),
         substeps=SUBSTEPS,
     )
@@ -114,8 +114,8 @@ def test_a_pass_that_begins_between_two_ticks_begins_with_its_first_pose():
         nodes=wp.Pose(jnp.asarray(tips)),
         # Half a tick behind node 0, which is more than half a part of a step.
         first=jnp.asarray(3, jnp.int32),
-        forward=jnp.array([1.0, 0.0]),
-        passing=jnp.zeros(()),
+        feed_direction=jnp.array([1.0, 0.0]),
+        passing_node=jnp.zeros(()),
         last=jnp.asarray(10.0),
         substeps=steps,
     )

@@ -51,11 +51,12 @@ class UnclippedChip(NamedTuple):
 
     Attributes:
         thickness: [m], any shape.
-        per_way: Over the way from the earlier pose that left it [-], same shape.
+        per_travel: Thickness over the travel of the tool since the earlier pose that
+            left it [-], same shape.
     """
 
     thickness: Float[Array, "*sample"]
-    per_way: Float[Array, "*sample"]
+    per_travel: Float[Array, "*sample"]
 
 
 def circle_chip(

@@ -125,7 +125,7 @@ def choose_engagement(
     sizes: dict[str, Any] = {
         "angles": angles,
         "substeps": substeps,
-        "lag": lag,
+        "removal_lag": lag,
         "updates_per_period": updates_per_period,
     }
     if is_simple:

@@ -45,10 +45,10 @@ class AbstractEngagement(eqx.Module):
             many sub-steps; their poses are predicted from where the tool is then.
         discs: Discs of the cutter, or the height of an edge element and the band.
         window: Window of rays of a removal.
-        lag: Travelled distance by which removal lags [m].
+        removal_lag: Travelled distance by which removal lags [m].
         is_upright: Whether the tool stands along +z all the time.
-        samples_whole_period: Whether an update judges the way from the start of a
-            period to its last expected pose, and not each sample at its own.
+        samples_whole_period: True if an update takes the occupancy from the travel of
+            the whole period, to its last predicted pose, instead of each sub-step's.
     """
 
     angles: eqx.AbstractVar[int]
@@ -56,7 +56,7 @@ class AbstractEngagement(eqx.Module):
     updates_per_period: eqx.AbstractVar[int]
     discs: eqx.AbstractVar[Discs]
     window: eqx.AbstractVar[RemovalWindow]
-    lag: eqx.AbstractVar[float]
+    removal_lag: eqx.AbstractVar[float]
     is_upright: eqx.AbstractVar[bool]
     samples_whole_period: eqx.AbstractVar[bool]
 
@@ -114,7 +114,7 @@ class AbstractEngagement(eqx.Module):
 
         Args:
             process: The process.
-            samples: The edges in this sub-step, shape (angle, kept, element).
+            samples: The edges in this sub-step, shape (angle, leading, element).
             pose: Pose in the middle of the sub-step, shape (3,).
             earlier: Poses when the teeth before passed, as `Process.earlier` returns
                 them, shape (before, 3), of uneven teeth (before, tooth, 3).
@@ -137,7 +137,7 @@ class AbstractEngagement(eqx.Module):
         pose: Pose,
         earlier: Pose,
         decimated: Pose,
-    ) -> Float[Array, "angle kept element"]:
+    ) -> Float[Array, "angle leading element"]:
         """Return the unclipped chip thickness of one sub-step [m]; see `wrench`."""
 
     @abc.abstractmethod
@@ -235,7 +235,7 @@ class Process(eqx.Module):
         return RemovalHistory(
             self.cutter,
             engagement.window,
-            engagement.lag,
+            engagement.removal_lag,
             engagement.substeps,
             self.stock.spacing,
             self.derivative,
@@ -291,7 +291,7 @@ class Process(eqx.Module):
         return TeethBefore.of(self.cutter, self.engagement.substeps, dtype)
 
     def earlier(self, recent: Pose, now: Pose) -> Pose:
-        """Return the poses when the teeth before passed, in all sub-steps of a period.
+        """Poses of the tool when the k-th tooth before was at the same immersion angle.
 
         Args:
             recent: Poses in the middle of the sub-steps of the periods before, newest
@@ -299,8 +299,9 @@ class Process(eqx.Module):
             now: Those of this period, shape (substep, 3).
 
         Returns:
-            The poses for the k-th tooth before, shape (substep, before, 3); where teeth
-            are uneven, for each tooth, shape (substep, before, tooth, 3).
+            The poses in all sub-steps for the k-th tooth before, shape (substep,
+            before, 3); where teeth are uneven, for each tooth, shape (substep, before,
+            tooth, 3).
         """
         teeth = self.teeth_before(now.tip.dtype)
         if teeth is None:

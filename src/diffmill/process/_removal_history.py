@@ -56,7 +56,7 @@ class RemovalHistory(NamedTuple):
     Attributes:
         cutter: The milling cutter.
         window: Window of rays of a removal.
-        lag: Travelled distance by which removal lags [m].
+        removal_lag: Travelled distance by which removal lags [m].
         substeps: Sub-steps per tooth period.
         spacing: Spacing of the rays [m].
         derivative: How to differentiate through the removal.
@@ -64,7 +64,7 @@ class RemovalHistory(NamedTuple):
 
     cutter: AbstractCutter
     window: RemovalWindow
-    lag: float
+    removal_lag: float
     substeps: int
     spacing: float
     derivative: AbstractAdjoint
@@ -97,8 +97,8 @@ class RemovalHistory(NamedTuple):
         nodes = max((pose_count - 1) * self.substeps + 1, self._pass_length())
         waiting = RemovalQueue(
             row=jnp.zeros(QUEUE_LENGTH, jnp.int32),
-            forward=jnp.zeros((QUEUE_LENGTH, 2), dtype).at[:, 1].set(1),
-            passing=jnp.zeros(QUEUE_LENGTH, dtype),
+            feed_direction=jnp.zeros((QUEUE_LENGTH, 2), dtype).at[:, 1].set(1),
+            passing_phase=jnp.zeros(QUEUE_LENGTH, dtype),
             heading=jnp.zeros((QUEUE_LENGTH, 3), dtype),
             travel=jnp.zeros(QUEUE_LENGTH, dtype),
         )
@@ -115,7 +115,7 @@ class RemovalHistory(NamedTuple):
             recent=pose.repeated(cutter.flute_count, self.substeps),
             ends=pose.repeated(self.substeps),
             newest=waiting[0],
-            passing=jnp.zeros((), dtype),
+            passing_phase=jnp.zeros((), dtype),
             queue=waiting,
             queue_count=jnp.ones((), jnp.int32),
             slots=stock.slots_in_use(),
@@ -164,10 +164,10 @@ class RemovalHistory(NamedTuple):
         # Reading the track before it is written would make XLA copy it in every step.
         motion = frozen(pose.tip - state.last_tip)
         track = tracked(state, index, pose)
-        newest, passing = self._newest(state, index, frozen(pose), motion)
+        newest, passing_phase = self._newest(state, index, frozen(pose), motion)
         count, last = state.queue_count, state.queue[state.queue_count - 1]
         way = newest.travel - last.travel
-        gap = self.lag / _ALONG
+        gap = self.removal_lag / _ALONG
         behind = newest.travel - state.queue.travel[0]
         has_room = count.astype(way.dtype) < _AT_TURNS + behind / gap
         is_apart = (way >= _LEAST_WAY) & has_room & (count < QUEUE_LENGTH - 1)
@@ -191,7 +191,7 @@ class RemovalHistory(NamedTuple):
                 s.track,
                 s.last_tip,
                 s.newest,
-                s.passing,
+                s.passing_phase,
                 s.queue,
                 s.queue_count,
             ),
@@ -200,7 +200,7 @@ class RemovalHistory(NamedTuple):
                 track,
                 pose.tip,
                 newest,
-                passing,
+                passing_phase,
                 queue,
                 numbers[1] + is_due.astype(jnp.int32),
             ),
@@ -213,7 +213,7 @@ class RemovalHistory(NamedTuple):
         pose: Pose,
         motion: Float[Array, " 3"],
     ) -> tuple[RemovalQueue, Float[Array, ""]]:
-        """Return the pass of the newest pose, and when an even tooth looks forward.
+        """Pass of the newest pose, and the phase at which an even tooth points ahead.
 
         Which of the teeth it is follows the direction without a jump, so that where
         the direction trembles no tooth is left out.
@@ -223,27 +223,31 @@ class RemovalHistory(NamedTuple):
         along, length = jnp.sqrt(x**2 + y**2), safe_norm(motion)
         is_moving = along > STILL
         scale = jnp.where(is_moving, along, 1.0)
-        forward = jnp.where(is_moving, jnp.stack([x, y]) / scale, state.newest.forward)
+        feed_direction = jnp.where(
+            is_moving, jnp.stack([x, y]) / scale, state.newest.feed_direction
+        )
         heading = jnp.where(
             length > STILL, motion / jnp.maximum(length, STILL), state.newest.heading
         )
         count = cutter.flute_count
-        turn = jnp.arctan2(forward[0], forward[1]) * (count / (2 * math.pi))
-        passing = turn + jnp.round(state.passing - turn)
-        is_beside = (passing < -0.5) | (passing >= 1.5)
-        passing = jnp.where(is_beside, passing - jnp.floor(passing), passing)
-        tooth = 1 - index - jnp.round(passing - turn).astype(jnp.int32)
+        turn = jnp.arctan2(feed_direction[0], feed_direction[1]) * (
+            count / (2 * math.pi)
+        )
+        phase = turn + jnp.round(state.passing_phase - turn)
+        is_beside = (phase < -0.5) | (phase >= 1.5)
+        phase = jnp.where(is_beside, phase - jnp.floor(phase), phase)
+        tooth = 1 - index - jnp.round(phase - turn).astype(jnp.int32)
         tooth = jnp.mod(tooth, count)
-        late = jnp.zeros_like(passing)
+        late = jnp.zeros_like(phase)
         if not cutter.has_even_pitch:
             early = early_teeth(cutter, pose.tip.dtype)
             late = -early[tooth] * (count / (2 * math.pi))
         travel = state.newest.travel + length
-        newest = RemovalQueue(index, forward, passing + late, heading, travel)
+        newest = RemovalQueue(index, feed_direction, phase + late, heading, travel)
         if cutter.has_runout:
             one = jnp.ones_like(index)
             newest = dataclasses.replace(newest, tooth=tooth, count=one)
-        return newest, passing
+        return newest, phase
 
     def _remove_lagged(
         self,
@@ -267,7 +271,7 @@ class RemovalHistory(NamedTuple):
         is_full = state.queue_count >= QUEUE_LENGTH
         is_late = (is_full | (index - oldest.row[0] >= _HISTORY)) & (places == 0)
         # The newest stays: what comes in is measured against it.
-        is_due = ((age >= self.lag) & is_over) | is_late
+        is_due = ((age >= self.removal_lag) & is_over) | is_late
         is_due = is_due & (places < state.queue_count - 1)
         tips = [tooth.center().frozen().tip for tooth in passes]
         apart = jnp.max(jnp.abs(tips[1] - tips[0]))
@@ -312,12 +316,12 @@ class RemovalHistory(NamedTuple):
         return Rematerialised.read(state.track.poses.gather(rows * self.substeps))
 
     def decimated_rows(self, state: ProcessState) -> Int[Array, " circle"]:
-        """Return the indices of the thinned poses, those at tooth instants."""
+        """Indices of the decimated poses, those at tooth instants."""
         slots = jnp.arange(QUEUE_LENGTH, dtype=jnp.int32)
         age = state.newest.travel - state.queue.travel
         picks = []
         for share in _DECIMATED:
-            is_old = (age >= share * self.lag) & (slots < state.queue_count)
+            is_old = (age >= share * self.removal_lag) & (slots < state.queue_count)
             picks.append(jnp.max(jnp.where(is_old, slots, 0)))
         # What a run before this one did long ago stands where the track begins.
         return jnp.maximum(state.queue.row[jnp.stack(picks)], 0)
@@ -349,7 +353,9 @@ class RemovalHistory(NamedTuple):
 
         def standing(later: Int[Array, ""]) -> RemovalQueue:
             row, newest = index + later, state.newest
-            each = dataclasses.replace(newest, row=row, passing=state.passing)
+            each = dataclasses.replace(
+                newest, row=row, passing_phase=state.passing_phase
+            )
             if newest.tooth is None:
                 return each
             tooth = jnp.mod(newest.tooth + newest.row - row, cutter.flute_count)
@@ -406,7 +412,7 @@ class RemovalHistory(NamedTuple):
         S, count = self.substeps, self._pass_length()
         table = state.track.poses
         start = (waiting.row - 1) * S
-        steps = waiting.passing * S
+        steps = waiting.passing_phase * S
         ahead = self._lead_turns() * self.cutter.flute_count * S
         first = start + jnp.floor(steps - ahead).astype(jnp.int32)
         first = jnp.clip(first, 0, table.tip.shape[0] - count)
@@ -422,8 +428,8 @@ class RemovalHistory(NamedTuple):
         return ToothPass(
             nodes=self.derivative.removal_poses(nodes),
             first=first,
-            forward=waiting.forward,
-            passing=number(start - first) + steps,
+            feed_direction=waiting.feed_direction,
+            passing_node=number(start - first) + steps,
             last=number(jnp.clip(newest * S - first, 0, count - 1)),
             substeps=S,
             teeth=teeth,

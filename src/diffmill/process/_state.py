@@ -14,10 +14,11 @@ class RemovalQueue(eqx.Module):
     """Passes that wait for removal, oldest first, each of one tooth.
 
     Attributes:
-        row: Index k of the pose before which the tooth looks forward, shape (queue,).
-        forward: Direction of motion along tool x and y, shape (queue, 2).
-        passing: When the tooth looks forward, in tooth periods from pose k - 1, shape
+        row: Index k of the pose before which the tooth points along the feed, shape
             (queue,).
+        feed_direction: Direction of motion along tool x and y, shape (queue, 2).
+        passing_phase: Time at which the tooth points along the feed, in tooth periods
+            from pose k - 1, shape (queue,).
         heading: Direction of motion in `work`, that of the last motion where the tool
             rests; zero before the first, shape (queue, 3).
         travel: Distance travelled when the pass came in [m], shape (queue,).
@@ -26,8 +27,8 @@ class RemovalQueue(eqx.Module):
     """
 
     row: Int[Array, "*queue"]
-    forward: Float[Array, "*queue 2"]
-    passing: Float[Array, "*queue"]
+    feed_direction: Float[Array, "*queue 2"]
+    passing_phase: Float[Array, "*queue"]
     heading: Float[Array, "*queue 3"]
     travel: Float[Array, "*queue"]
     tooth: Int[Array, "*queue"] | None = None
@@ -56,8 +57,9 @@ class ProcessState(eqx.Module):
         ends: Poses at the ends of the sub-steps of the last period, which are not in
             the track yet, shape (substep, 3).
         newest: The pass of the newest pose, whether or not it waits.
-        passing: When in the last period a tooth looked forward, in tooth periods; may
-            be half a period beside it, so that it does not jump, shape ().
+        passing_phase: Time in the last period at which a tooth pointed along the feed,
+            in tooth periods; may be half a period beside it, so that it does not jump,
+            shape ().
         queue: What waits for removal.
         queue_count: Number of entries, shape ().
         slots: How many slots of each family of rays hold anything, shape (3,).
@@ -71,7 +73,7 @@ class ProcessState(eqx.Module):
     recent: Pose
     ends: Pose
     newest: RemovalQueue
-    passing: Float[Array, ""]
+    passing_phase: Float[Array, ""]
     queue: RemovalQueue
     queue_count: Int[Array, ""]
     slots: Int[Array, " 3"]

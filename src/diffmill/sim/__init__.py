@@ -21,7 +21,7 @@ Assumes force at the tip and motors that follow their command, unless the robot'
 have backlash, friction or motors with a mass. A run never raises inside: flags travel
 with it and become its `result`.
 Leaves out the moment of the force about the tip unless the tool bends, and regeneration
-by more than the last teeth beyond the thinned history.
+by more than the last teeth beyond the decimated history.
 """
 
 from ._analysis.collisions import (

@@ -79,7 +79,7 @@ class BottomEdges(eqx.Module):
         e = _by_annulus(outward)
         radius = self._radii(cutter, now.dtype)[None, None, None]
         tip, old = (x[:, None, None, None] for x in (now, before))
-        chip = _earlier_end(cutter, radius, e, tip, old).height
+        chip, _ = _earlier_end(cutter, radius, e, tip, old)
         layer = jnp.maximum(chip, _LEAST_LAYER)
         at = [
             (tip[..., 0] + e.sin * radius - stock.origin[0]) / stock.spacing,
@@ -130,7 +130,7 @@ class BottomEdges(eqx.Module):
                 above = above.max(axis=-1)
                 # What the corner has passed less than the lag ago still stands.
                 above = jnp.where(
-                    back < engagement.lag, jnp.minimum(above, descent), above
+                    back < engagement.removal_lag, jnp.minimum(above, descent), above
                 )
                 weight = (share[0] if i else 1 - share[0]) * (
                     share[1] if j else 1 - share[1]

@@ -99,7 +99,7 @@ class DexelCloud(AbstractEngagement):
     substeps: int = eqx.field(static=True)
     discs: Discs
     window: RemovalWindow
-    lag: float
+    removal_lag: float
     updates_per_period: int = eqx.field(static=True, default=1)
     is_upright: bool = eqx.field(static=True, default=True, init=False)
     samples_whole_period: bool = eqx.field(static=True, default=True, init=False)
@@ -258,7 +258,7 @@ class DexelCloud(AbstractEngagement):
         pose: Pose,
         earlier: Pose,
         decimated: Pose,
-    ) -> Float[Array, "angle kept element"]:
+    ) -> Float[Array, "angle leading element"]:
         """Return the unclipped chip of two cylinders [m], now and a period ago."""
         radius = process.cutter.diameter / 2
         return chip_along(radius, earlier.tip[0] - pose.tip, samples.outward, 0.0)

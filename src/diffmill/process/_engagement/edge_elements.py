@@ -97,7 +97,7 @@ class EdgeElementsInSpace(AbstractEngagement):
     substeps: int = eqx.field(static=True)
     discs: Discs
     window: RemovalWindow
-    lag: float
+    removal_lag: float
     profile: EdgeDiscretisation
     is_upright: bool = eqx.field(static=True, default=True)
     updates_per_period: int = eqx.field(static=True, default=1)
@@ -197,12 +197,12 @@ class EdgeElementsInSpace(AbstractEngagement):
         e, tooth = samples.outward, samples.tooth
         cutter = process.cutter
         elements = self.profile.elements(cutter, pose.tip.dtype)
-        chip, per_way = self._chip(process, samples, pose, earlier, decimated)
+        chip, per_travel = self._chip(process, samples, pose, earlier, decimated)
         newest = _newest(earlier)
         feed = safe_norm(newest - pose.tip)
         # From sample to sample, the chip of an element changes by its share of this.
         steps = 2 * math.pi / self.angles * jnp.maximum(elements.sin_kappa, _LEAST_SINE)
-        touch = edge_contact(per_way, feed, steps[None, None])
+        touch = edge_contact(per_travel, feed, steps[None, None])
         frame = Pose.frame(pose.direction())
         x, y, z = frame.T @ (pose.tip - newest)
         sideways = jnp.stack(
@@ -223,13 +223,13 @@ class EdgeElementsInSpace(AbstractEngagement):
             chip = chip.at[..., n:].multiply(factor)
         if n > 0:
             # The bottom of a tool that does not descend must not rub.
-            least = per_way[..., :n] - RAMP
+            least = per_travel[..., :n] - RAMP
             touch = touch.at[..., :n].set(edge_contact(least, feed, RAMP))
         touch = freeze_derivative_at_standstill(touch, feed)
         h = clamp(0.0, chip, cutter.nominal_radius)
         if cutter.flute_count % 2 or self._keeps_all(cutter):
             slope = elements.sin_kappa[None, None] * (e.cos * x - e.sin * y)
-            zero = per_way[..., n:] * feed
+            zero = per_travel[..., n:] * feed
             rounded = rounded_corner(zero, slope[..., n:], self.angles)
             h = h.at[..., n:].add(rounded)
         h = h * samples.chip_share
@@ -274,7 +274,7 @@ class EdgeElementsInSpace(AbstractEngagement):
         pose: Pose,
         earlier: Pose,
         decimated: Pose,
-    ) -> Float[Array, "angle kept element"]:
+    ) -> Float[Array, "angle leading element"]:
         """Unclipped chip thickness of one sub-step [m]."""
         return self._chip(process, samples, pose, earlier, decimated).thickness
 
@@ -328,7 +328,7 @@ class EdgeElementsInSpace(AbstractEngagement):
 
     def _centroids(
         self, elements: EdgeElements, places: "_EdgePlaces"
-    ) -> Float[Array, "substep angle kept element 3"]:
+    ) -> Float[Array, "substep angle leading element 3"]:
         """Centroids of the surfaces that elements pass in their samples [m].
 
         A sample weighs what lies up to one angle step to each side as a hat does, whose
@@ -366,7 +366,7 @@ class EdgeElementsInSpace(AbstractEngagement):
         nothing = 2 * cutter.nominal_radius
         chip = jnp.full_like(samples.outward.sin, nothing)
         newest = _newest(earlier)
-        per_way = chip / displacement_norm(newest - pose.tip)
+        per_travel = chip / displacement_norm(newest - pose.tip)
         descent = jnp.full_like(chip[..., :n], nothing)
         covered = jnp.zeros(descent.shape, bool)
         for k in range(1, cutter.flute_count + 1):
@@ -380,7 +380,7 @@ class EdgeElementsInSpace(AbstractEngagement):
                 left = left + ahead[..., n:]
             chip = chip.at[..., n:].min(left)
             way = displacement_norm(sides.tip - pose.tip[None, None, None])
-            per_way = per_way.at[..., n:].min(left / way)
+            per_travel = per_travel.at[..., n:].min(left / way)
             if n > 0:
                 ends = old if old.tip.shape[2] == 1 else old[:, :, :n]
                 down, is_under = _descent(cutter, points[..., :n, :], ends)
@@ -395,15 +395,15 @@ class EdgeElementsInSpace(AbstractEngagement):
                 ahead = _of_teeth(ahead * elements.sin_kappa[None], tooth)
                 left = left + ahead[..., n:]
             chip = chip.at[..., n:].min(left)
-            per_way = per_way.at[..., n:].min(
+            per_travel = per_travel.at[..., n:].min(
                 left / displacement_norm(old.tip - pose.tip[None, None, None])
             )
         if n > 0:
             descent = jnp.where(covered, descent, 0)
             chip = chip.at[..., :n].set(descent)
             way = displacement_norm(newest - pose.tip)
-            per_way = per_way.at[..., :n].set(descent / way)
-        return UnclippedChip(chip, per_way)
+            per_travel = per_travel.at[..., :n].set(descent / way)
+        return UnclippedChip(chip, per_travel)
 
 
 def _lead(
@@ -423,11 +423,11 @@ def _lead(
 
 def _walk(
     cutter: AbstractCutter,
-    points: Float[Array, "angle kept element 3"],
-    normals: Float[Array, "angle kept element 3"],
+    points: Float[Array, "angle leading element 3"],
+    normals: Float[Array, "angle leading element 3"],
     old: Pose,
     count: int,
-) -> Float[Array, "angle kept element"]:
+) -> Float[Array, "angle leading element"]:
     """Distance of an earlier pose's surface inward of points on the edge."""
     h = cutter.level(points, old.tip, old.direction())
     for _ in range(count - 1):
@@ -437,9 +437,9 @@ def _walk(
 
 def _descent(
     cutter: AbstractCutter,
-    points: Float[Array, "angle kept element 3"],
+    points: Float[Array, "angle leading element 3"],
     old: Pose,
-) -> tuple[Float[Array, "angle kept element"], Bool[Array, "angle kept element"]]:
+) -> tuple[Float[Array, "angle leading element"], Bool[Array, "angle leading element"]]:
     """Depth of points below an earlier end [m], and flags of those under it."""
     axis = old.direction()
     away = points - old.tip
@@ -458,10 +458,10 @@ def _newest(earlier: Pose) -> Float[Array, " 3"]:
     return tip[0] + jnp.mean(tip - tip[:1], axis=0)
 
 
-def _of_samples(passed: Pose, tooth: Int[Array, "angle kept element"]) -> Pose:
+def _of_samples(passed: Pose, tooth: Int[Array, "angle leading element"]) -> Pose:
     """Poses when the tooth before that of each sample passed.
 
-    The result broadcasts against (angle, kept, element, 3).
+    The result broadcasts against (angle, leading, element, 3).
     """
     if passed.tip.ndim == 1:
         return passed[None, None, None]
@@ -515,9 +515,9 @@ class _EdgePlaces(NamedTuple):
         along: Directions along the profile.
     """
 
-    points: Float[Array, "angle kept element 3"]
-    normals: Float[Array, "angle kept element 3"]
-    along: Float[Array, "angle kept element 3"]
+    points: Float[Array, "angle leading element 3"]
+    normals: Float[Array, "angle leading element 3"]
+    along: Float[Array, "angle leading element 3"]
 
 
 def _edge(
@@ -525,7 +525,7 @@ def _edge(
     elements: EdgeElements,
     pose: Pose,
     outward: RadialDirection,
-    offset: Float[Array, "angle kept element"] | None,
+    offset: Float[Array, "angle leading element"] | None,
 ) -> _EdgePlaces:
     """Places and directions of the edge elements.
 

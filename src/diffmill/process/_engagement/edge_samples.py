@@ -28,31 +28,31 @@ class EdgeSamples(eqx.Module):
     """Samples of the edges in one or more sub-steps.
 
     Attributes:
-        angle: Immersion angles [rad], shape (*substep, angle, kept, disc); the axis
+        angle: Immersion angles [rad], shape (*substep, angle, leading, disc); the axis
             disc has length 1 if all elements share their angles.
         outward: Directions at these angles, same shape.
         tooth: The tooth of each sample, as `angle`.
         occupancy: Share of the width of an element that has a chip in the stock, 0 to
-            1, shape (*substep, angle, kept, element).
+            1, shape (*substep, angle, leading, element).
         chip_share: Share of the thickness of that chip that lies in the stock, 0 to
             1, as `occupancy`.
         bottom: The bottom edges, where they are no elements of their own.
     """
 
-    angle: Float[Array, "*substep angle kept disc"]
+    angle: Float[Array, "*substep angle leading disc"]
     outward: RadialDirection
-    tooth: Int[Array, "*substep angle kept disc"]
-    occupancy: Float[Array, "*substep angle kept element"]
-    chip_share: Float[Array, "*substep angle kept element"]
+    tooth: Int[Array, "*substep angle leading disc"]
+    occupancy: Float[Array, "*substep angle leading element"]
+    chip_share: Float[Array, "*substep angle leading element"]
     bottom: BottomSamples | None = None
 
     @classmethod
     def at(
         cls,
-        angle: Float[Array, "*substep angle kept disc"],
-        tooth: Int[Array, "*substep angle kept disc"],
-        occupancy: Float[Array, "*substep angle kept element"],
-        chip_share: Float[Array, "*substep angle kept element"],
+        angle: Float[Array, "*substep angle leading disc"],
+        tooth: Int[Array, "*substep angle leading disc"],
+        occupancy: Float[Array, "*substep angle leading element"],
+        chip_share: Float[Array, "*substep angle leading element"],
     ) -> "EdgeSamples":
         """Return samples at some angles; arguments as the attributes."""
         return cls(angle, RadialDirection.of(angle), tooth, occupancy, chip_share)
@@ -73,7 +73,7 @@ class Engagement(eqx.Module):
     """Engagement of the teeth in one tooth period.
 
     Attributes:
-        samples: The edges, shape (substep, angle, kept, element).
+        samples: The edges, shape (substep, angle, leading, element).
         decimated: Some older poses, shape (circle, 3).
         sample_jvp: Change of the samples with the poses that are looked up, with those
             of the period before, and with the tip at the start; None if it is not asked

@@ -34,30 +34,30 @@ _FADE = 0.5
 
 
 class LeadingSamples(NamedTuple):
-    """Samples of a period that can cut, each of shape (substep, angle, kept, element).
+    """Samples that can cut, each of shape (substep, angle, leading, element).
 
     Attributes:
         angle: Immersion angle [rad].
         outward: Its direction.
-        place: Which tooth it is.
+        tooth: Index of the tooth, in the order of the teeth at the start of a period.
         fade: Weight, less than 1 near the ends of the leading half.
     """
 
-    angle: Float[Array, "substep angle kept element"]
+    angle: Float[Array, "substep angle leading element"]
     outward: RadialDirection
-    place: Int[Array, "substep angle kept element"]
-    fade: Float[Array, "substep angle kept element"]
+    tooth: Int[Array, "substep angle leading element"]
+    fade: Float[Array, "substep angle leading element"]
 
 
 class LeadingTeeth(eqx.Module):
     """The teeth on the leading side, at every sample.
 
     Attributes:
-        place: Which they are, shape (substep, angle, kept, disc).
+        place: Which they are, shape (substep, angle, leading, disc).
         count: How many evenly spaced teeth there are.
     """
 
-    place: Int[Array, "substep angle kept disc"]
+    place: Int[Array, "substep angle leading disc"]
     count: int = eqx.field(static=True)
 
     @classmethod
@@ -80,7 +80,7 @@ class LeadingTeeth(eqx.Module):
         return cls(jnp.where(is_one, one, one + half), count)
 
     def of(self, x: Shaped[Array, "substep angle tooth disc"]) -> Shaped[Array, "..."]:
-        """Values of these teeth, shape (substep, angle, kept, disc)."""
+        """Values of these teeth, shape (substep, angle, leading, disc)."""
         if self.count % 2:
             return jnp.take_along_axis(x, self.place, 2)
         half = self.count // 2

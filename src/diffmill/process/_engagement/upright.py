@@ -53,7 +53,7 @@ class UprightFlat(AbstractEngagement):
     substeps: int = eqx.field(static=True)
     discs: Discs
     window: RemovalWindow
-    lag: float
+    removal_lag: float
     updates_per_period: int = eqx.field(static=True, default=1)
     bottom: BottomEdges | None = None
     is_upright: bool = eqx.field(static=True, default=True, init=False)
@@ -137,11 +137,11 @@ class UprightFlat(AbstractEngagement):
         """Force and moment on the tool at the angles of one sub-step."""
         cutter, outward = process.cutter, samples.outward
         tip, old = pose.tip, earlier.tip
-        chip, per_way = _chip(process, tip, old, decimated.tip, outward)
+        chip, per_travel = _chip(process, tip, old, decimated.tip, outward)
         motion = old[0] - tip
         feed = safe_norm(motion[:2])
         step = 2 * math.pi / self.angles
-        touch = edge_contact(per_way, feed, step)
+        touch = edge_contact(per_travel, feed, step)
         touch = freeze_derivative_at_standstill(
             touch * sideways_share(feed, safe_norm(motion)), feed
         )
@@ -157,7 +157,7 @@ class UprightFlat(AbstractEngagement):
         else:
             slope = outward.cos * motion[0] - outward.sin * motion[1]
             chip = jnp.maximum(chip, 0) + rounded_corner(
-                per_way * feed, slope, self.angles
+                per_travel * feed, slope, self.angles
             )
         wrench = wrench_of_discs(process, samples, chip, touch)
         if self.bottom is None or samples.bottom is None:
@@ -172,7 +172,7 @@ class UprightFlat(AbstractEngagement):
         pose: Pose,
         earlier: Pose,
         decimated: Pose,
-    ) -> Float[Array, "angle kept element"]:
+    ) -> Float[Array, "angle leading element"]:
         """Unclipped chip thickness of one sub-step [m]."""
         e = samples.outward
         return _chip(process, pose.tip, earlier.tip, decimated.tip, e).thickness
@@ -199,8 +199,8 @@ def check_updates(engagement: AbstractEngagement) -> None:
 def wrench_of_discs(
     process: Process,
     samples: EdgeSamples,
-    chip: Float[Array, "angle kept element"],
-    touch: Float[Array, "angle kept element"],
+    chip: Float[Array, "angle leading element"],
+    touch: Float[Array, "angle leading element"],
 ) -> Float[Array, "angle 6"]:
     """Force and moment on the tool from the chips of its discs.
 
@@ -213,8 +213,8 @@ def wrench_of_discs(
 
     Args:
         process: The process.
-        samples: The samples of the sub-step, shape (angle, kept, element).
-        chip: Unclipped chip thickness [m], shape (angle, kept, element).
+        samples: The samples of the sub-step, shape (angle, leading, element).
+        chip: Unclipped chip thickness [m], shape (angle, leading, element).
         touch: 0 to 1, whether the edge touches the material, same shape.
 
     Returns:
@@ -263,17 +263,19 @@ def _chip(
     left, shares, inverse = materialise(
         (left, shares[:, None, None], 1 / displacement_norm(offsets[:, :2]))
     )
-    chip, per_way = left[0], left[0] * inverse[0]
+    chip, per_travel = left[0], left[0] * inverse[0]
     for k in range(1, len(offsets)):
         # The mean over the disc: what lies below an older pose it did not thin.
         chip = chip - shares[k] * jnp.maximum(chip - left[k], 0)
-        per_way = per_way - shares[k] * jnp.maximum(per_way - left[k] * inverse[k], 0)
-    return UnclippedChip(chip, per_way)
+        per_travel = per_travel - shares[k] * jnp.maximum(
+            per_travel - left[k] * inverse[k], 0
+        )
+    return UnclippedChip(chip, per_travel)
 
 
 def immersion_angles(
     process: Process, dtype: jnp.dtype, part: Substeps | None = None
-) -> Float[Array, "substep angle kept disc"]:
+) -> Float[Array, "substep angle leading disc"]:
     """Immersion angle phi of every tooth at every sample of a period [rad].
 
     Every period begins with a tooth at angle 0 at the tip; a disc higher up lags by

@@ -7,7 +7,7 @@ tips change the forces, and the forces move the arm:
     (x', m, e) = A (x, theta_0, theta_1, f, c)   the arm after it, tips on the way
 
 x the arm at the start, theta the motors at both ends, r the poses of the sub-steps in
-the periods before, h the thinned older poses, p the pose one period ago, c parameters
+the periods before, h the decimated older poses, p the pose one period ago, c parameters
 of machine and cut, such as stiffness and force coefficients. That the force
 of a sub-step follows its own tip, and that tip the forces before, is solved in each
 period once. One recurrence then carries any number of directions at once.
@@ -115,7 +115,7 @@ class LinearRun(eqx.Module):
         loads: L, shape (period, load, cause).
         arm: A, shape (period, output, input).
         pose: Of the pose at the start of a period in x, shape (period, pose, state).
-        circles: Rows of the thinned poses, shape (period, circle); those before the
+        circles: Rows of the decimated poses, shape (period, circle); those before the
             first row, which stay, are negative.
         begin: Of the first state in the first three motor positions and in the
             parameters, shape (state, 3 joint + parameter).

@@ -90,14 +90,14 @@ class ForceSlopes(eqx.Module):
         newest: In that of the same sub-step of the period before, by what was found in
             the stock, shape (substep, load, pose); None for even teeth, of which it is
             the first of those before.
-        decimated: In the thinned older poses, shape (substep, load, circle, pose).
+        decimated: In the decimated older poses, shape (substep, load, circle, pose).
         predicted: In the pose at which the stock was looked up, shape (substep, load,
             pose); in the last one where a look judges the whole period.
         start: In the pose at the start of the period, likewise; None if samples do not
             depend on it.
         parameters: In the parameters of the process, the stock held, shape (substep,
             load, parameter).
-        circles: Rows of the thinned poses, shape (circle,).
+        circles: Rows of the decimated poses, shape (circle,).
     """
 
     now: Float[Array, "substep load pose"]
@@ -158,7 +158,7 @@ class PeriodForce(eqx.Module):
         middles: Poses in the middle of the sub-steps, shape (substep, pose).
         earlier: Those when the teeth before passed, shape (substep, before, pose), of
             uneven teeth (substep, before, tooth, pose).
-        decimated: The thinned older poses, shape (circle, pose).
+        decimated: The decimated older poses, shape (circle, pose).
         circles: Their rows, shape (circle,).
     """
 

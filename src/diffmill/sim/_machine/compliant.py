@@ -120,12 +120,13 @@ class AbstractInertialMachine(AbstractCompliant):
     ) -> tuple[RunState, Period]:
         """State after one tooth period, and its outputs.
 
-            p_k = pose(x_k)
-            S_k = S_{k-1} less the poses that lag behind p_k
+            p = pose(x_{k-1})
+            S_k = S_{k-1} less the poses that lag behind p
             E_k = engagement of S_k at the predicted poses
-            x_{k+1} = f(x_k, theta_k, F(E_k, x)) in sub-steps, F(E_k, x) at each tip
+            x_k = f(x_{k-1}, theta, F(E_k, tips)), sub-step after sub-step
 
-        # symbols: k period, x machine, p tool, S stock, E engagement, F load
+        # symbols: k period, x machine, p tool at its start, S stock, E engagement of
+        the teeth, F load of a sub-step, theta command
         """
         dynamics = self.dynamics(process, state.machine, row.command)
         pose, recent = dynamics.pose, state.process.recent

@@ -70,9 +70,9 @@ class SubstepRow(NamedTuple):
         earlier: Poses when the teeth before passed, shape (*substep, before, 3), of
             uneven teeth (*substep, before, tooth, 3), as if the tool had stood still
             in these sub-steps.
-        within: Weights of the displacements of these sub-steps in those when the teeth
-            before passed, shape (*substep, before, tooth, substep); None for even
-            teeth, which passed before all of them.
+        within: Weights of this period's displacements in the poses when the teeth
+            before passed, shape (*substep, before, tooth, substep); None for evenly
+            spaced teeth, which passed before all of them.
         samples: The edges in the cut; None before the engagement is known.
     """
 
@@ -176,7 +176,9 @@ class CoupledPeriod(eqx.Module):
 
         **Differentiability**: exact, in forward and reverse mode, of any order.
         """
-        given = _Given(self, start, rows._replace(samples=cut.samples), cut.decimated)
+        given = _PeriodInputs(
+            self, start, rows._replace(samples=cut.samples), cut.decimated
+        )
         arrays, fixed = eqx.partition(given, eqx.is_array)
         end, moved = _run(fixed, arrays)
         ends = jax.vmap(self.dynamics.tip)(moved.end)
@@ -234,28 +236,6 @@ class CoupledPeriod(eqx.Module):
         (end, _, _), moved = jax.lax.scan(update, begun, (first, parts))
         return end, jax.tree.map(lambda x: x.reshape(-1, x.shape[-1]), moved)
 
-    def load(
-        self,
-        row: SubstepRow,
-        tip: Float[Array, " 3"],
-        earlier: Pose,
-        decimated: Pose,
-    ) -> Float[Array, " load"]:
-        """Mean load F of a sub-step whose tips are known [N], [N m].
-
-        Args:
-            row: The sub-step.
-            tip: In its middle [m].
-            earlier: Poses when the teeth before passed.
-            decimated: Older poses, shape (circle, 3).
-        """
-        assert row.samples is not None
-        pose = Pose(tip, self.dynamics.pose.axis)
-        wrench = self.process.engagement.wrench(
-            self.process, row.samples, pose, earlier, decimated
-        )
-        return jnp.mean(wrench, axis=0)[: self.load_count]
-
 
 class _MovedSubstep(NamedTuple):
     """Motion of a sub-step, or of several, or its change.
@@ -272,17 +252,31 @@ class _MovedSubstep(NamedTuple):
     load: Float[Array, "*substep load"]
 
 
-class _Given(eqx.Module):
-    """All that the sub-steps follow from."""
+class _PeriodInputs(eqx.Module):
+    """Machine, start state, edge samples and older poses of one run of sub-steps."""
 
     coupled: CoupledPeriod
     start: PyTree
     rows: SubstepRow
     decimated: Pose
 
-    def load(self, row: SubstepRow, tip: Array, earlier: Pose) -> Array:
-        """Mean load of a sub-step."""
-        return self.coupled.load(row, tip, earlier, self.decimated)
+    def load(
+        self, row: SubstepRow, tip: Float[Array, " 3"], earlier: Pose
+    ) -> Float[Array, " load"]:
+        """Mean load F of a sub-step whose tips are known [N], [N m].
+
+        Args:
+            row: The sub-step.
+            tip: In its middle [m].
+            earlier: Poses when the teeth before passed.
+        """
+        coupled, samples = self.coupled, row.samples
+        assert samples is not None
+        pose = Pose(tip, coupled.dynamics.pose.axis)
+        wrench = coupled.process.engagement.wrench(
+            coupled.process, samples, pose, earlier, self.decimated
+        )
+        return jnp.mean(wrench, axis=0)[: coupled.load_count]
 
 
 class _Before(NamedTuple):
@@ -316,8 +310,9 @@ class _Before(NamedTuple):
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _run(fixed: _Given, arrays: _Given) -> tuple[PyTree, _MovedSubstep]:
-    given: _Given = eqx.combine(arrays, fixed)
+def _run(fixed: _PeriodInputs, arrays: _PeriodInputs) -> tuple[PyTree, _MovedSubstep]:
+    """The sub-steps of a period, one after the other: tip, load, step."""
+    given: _PeriodInputs = eqx.combine(arrays, fixed)
     dynamics = given.coupled.dynamics
 
     def substep(before: _Before, row: SubstepRow) -> tuple[_Before, _MovedSubstep]:
@@ -357,16 +352,16 @@ class _LinearSubstep(NamedTuple):
     own_load: Float[Array, "*substep load"]
 
 
-def _run_jvp(fixed: _Given, primals: Any, tangents: Any) -> tuple[Any, Any]:
+def _run_jvp(fixed: _PeriodInputs, primals: Any, tangents: Any) -> tuple[Any, Any]:
     """JVP of the sub-steps."""
     end, moved = _run(fixed, *primals)
-    given: _Given = eqx.combine(primals[0], fixed)
+    given: _PeriodInputs = eqx.combine(primals[0], fixed)
     leaves, tree = jax.tree.flatten(primals[0])
     changes = tree.flatten_up_to(tangents[0])
     moving = [i for i, x in enumerate(changes) if not isinstance(x, SymbolicZero)]
     values, value_changes = [leaves[i] for i in moving], [changes[i] for i in moving]
 
-    def with_values(values: list[Array]) -> _Given:
+    def with_values(values: list[Array]) -> _PeriodInputs:
         whole = list(leaves)
         for i, value in zip(moving, values, strict=True):
             whole[i] = value

@@ -18,7 +18,7 @@ from ._integrator.base import AbstractIntegrator, ArmState, MotorCommand
 from ._integrator.midpoint import Midpoint
 from .compliant import AbstractInertialMachine, CommandRow, start_rate
 from .coupled_period import AbstractPeriodDynamics
-from .midpoint_terms import FrozenTerms, middle_terms
+from .midpoint_terms import HoldSpan, middle_terms
 
 
 class ArmPeriod(AbstractPeriodDynamics):
@@ -31,7 +31,7 @@ class ArmPeriod(AbstractPeriodDynamics):
         joints: At the start [rad or m], shape (joint,).
         jacobian: In the middle, linear rows first; those of the turn only if the
             machine takes a moment.
-        begun: What the integrator has prepared of the terms in the middle.
+        prepared: What the integrator has prepared of the terms in the middle.
         motors: Where they are at the start [rad or m], shape (joint,).
         rate: Of the motors [rad/s or m/s], shape (joint,).
         substep: Length of a sub-step [s], shape ().
@@ -42,7 +42,7 @@ class ArmPeriod(AbstractPeriodDynamics):
     pose: Pose
     joints: Float[Array, " joint"]
     jacobian: Float[Array, "load joint"]
-    begun: PyTree
+    prepared: PyTree
     motors: Float[Array, " joint"]
     rate: Float[Array, " joint"]
     substep: Float[Array, ""]
@@ -60,7 +60,7 @@ class ArmPeriod(AbstractPeriodDynamics):
         torque = load @ self.jacobian
         command = MotorCommand(self.motors + time * self.rate, self.rate)
         return self.integrator.step(
-            self.robot, self.begun, state, command, torque, self.substep
+            self.robot, self.prepared, state, command, torque, self.substep
         )
 
     def tip(self, state: ArmState) -> Float[Array, " 3"]:
@@ -107,7 +107,7 @@ class ElasticArm(AbstractInertialMachine):
         """Return the robot in a period, from its state and the motors."""
         robot, rule = self.robot, self.integrator
         rate = (row.stop - row.start) / process.tooth_period
-        held = FrozenTerms(process.tooth_period, process.engagement.substeps)
+        held = HoldSpan(process.tooth_period, process.engagement.substeps)
         terms = ArmTerms.of_state(robot, state.q, state.v)
         T_base_work, is_upright = self.T_base_work, process.engagement.is_upright
         pose = in_work(T_base_work, terms.T_base_tool, is_upright)
@@ -119,7 +119,7 @@ class ElasticArm(AbstractInertialMachine):
             pose=pose,
             joints=state.q,
             jacobian=jacobian_in_work(T_base_work, terms.jacobian)[: self.load_count],
-            begun=rule.begin(robot, terms, held.substep),
+            prepared=rule.begin(robot, terms, held.substep),
             motors=row.start,
             rate=rate,
             substep=held.substep,

@@ -13,7 +13,7 @@ from ..._types import RealScalarLike
 from ...robot import ArmTerms, Robot
 from ._integrator.base import AbstractIntegrator, ArmState, MotorCommand
 from ._integrator.midpoint import Midpoint
-from .midpoint_terms import FrozenTerms, middle_terms
+from .midpoint_terms import HoldSpan, middle_terms
 
 
 class FreeMotion(eqx.Module):
@@ -65,16 +65,18 @@ def free_motion(
     h = jnp.asarray(time_step, start.q.dtype)
     command = MotorCommand(motor_positions, jnp.zeros_like(motor_positions))
     rest = jnp.zeros_like(start.q)
-    span = FrozenTerms(h * held, held)
+    span = HoldSpan(h * held, held)
 
-    def step(begun: PyTree, state: ArmState) -> ArmState:
-        return rule.step(robot, begun, state, command, rest, h)
+    def step(prepared: PyTree, state: ArmState) -> ArmState:
+        return rule.step(robot, prepared, state, command, rest, h)
 
     def row(state: ArmState, _: None) -> tuple[ArmState, ArmState]:
         terms = ArmTerms.of_state(robot, state.q, state.v)
         terms = middle_terms(robot, rule, terms, state, command, span)
-        begun = rule.begin(robot, terms, h)
-        after, _ = jax.lax.scan(lambda s, _: (step(begun, s), None), state, length=held)
+        prepared = rule.begin(robot, terms, h)
+        after, _ = jax.lax.scan(
+            lambda s, _: (step(prepared, s), None), state, length=held
+        )
         return after, after
 
     _, states = jax.lax.scan(row, start, length=rows)

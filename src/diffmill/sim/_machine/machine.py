@@ -76,7 +76,8 @@ class LoadedSubsteps(eqx.Module):
     """Sub-steps of a period.
 
     Attributes:
-        predicted: Tips at which the stock was looked up [m], shape (*substep, 3).
+        predicted: Tips assumed, before the force is known, to look up the stock [m],
+            shape (*substep, 3).
         tips: Tips in their middle [m], same shape.
         ends: Tips at their ends [m], same shape.
         loads: Forces in `work` [N] and, if the machine takes them, their moments about
@@ -119,26 +120,27 @@ class TurnChips(eqx.Module):
     """Chips of the teeth in some periods, sample by sample.
 
     Attributes:
-        angle: Of the samples [rad], shape (*period, substep, angle, kept, disc).
+        angle: Of the samples [rad], shape (*period, substep, angle, leading, disc).
         tooth: The tooth that each is of, same shape.
-        chip: Chip thickness in the stock [m], shape (*period, substep, angle, kept,
+        chip: Chip thickness in the stock [m], shape (*period, substep, angle, leading,
             element).
         weight: Occupancy, same shape.
     """
 
-    angle: Float[Array, "*period substep angle kept disc"]
-    tooth: Int[Array, "*period substep angle kept disc"]
-    chip: Float[Array, "*period substep angle kept element"]
-    weight: Float[Array, "*period substep angle kept element"]
+    angle: Float[Array, "*period substep angle leading disc"]
+    tooth: Int[Array, "*period substep angle leading disc"]
+    chip: Float[Array, "*period substep angle leading element"]
+    weight: Float[Array, "*period substep angle leading element"]
 
 
 class AbstractMachine(eqx.Module):
     """Machine: it moves the tool along a command, compliant or rigid.
 
-        x_{k+1} = f(x_k, theta_k, F_k),   p_k = pose(x_k)
+        x_k = f(x_{k-1}, theta_{k-1}, theta_k, F_k),   p_k = pose(x_k)
 
-    # symbols: k tooth period, x state of the machine, theta command, p pose of the
-    tool, F loads of the teeth, which follow the poses of this period and those before
+    # symbols: k instant, and the tooth period that ends with it, x state of the
+    machine, theta command, p pose of the tool, F loads of the teeth in the period,
+    which follow the poses in it and those before
     """
 
     @abc.abstractmethod

@@ -16,7 +16,7 @@ from ...robot import ArmTerms, Robot
 from ._integrator.base import AbstractIntegrator, ArmState, MotorCommand
 
 
-class FrozenTerms(eqx.Module):
+class HoldSpan(eqx.Module):
     """The time for which the robot's terms are held.
 
     Attributes:
@@ -39,7 +39,7 @@ def middle_terms(
     terms: ArmTerms,
     state: ArmState,
     motors: MotorCommand,
-    span: FrozenTerms,
+    span: HoldSpan,
 ) -> ArmTerms:
     """Return the terms where the arm will be half a span later, free of load.
 
@@ -58,11 +58,11 @@ def middle_terms(
     """
     count = integrator.steps_to_middle(span.substeps)
     h, rest = span.duration / 2 / count, jnp.zeros_like(state.v)
-    begun = integrator.begin(robot, terms, h)
+    prepared = integrator.begin(robot, terms, h)
 
     def step(state: ArmState, after: Float[Array, ""]) -> tuple[ArmState, None]:
         command = MotorCommand(motors.position + after * motors.rate, motors.rate)
-        return integrator.step(robot, begun, state, command, rest, h), None
+        return integrator.step(robot, prepared, state, command, rest, h), None
 
     middles = h * (jnp.arange(count, dtype=h.dtype) + 0.5)
     ahead, _ = jax.lax.scan(step, state, middles)

@@ -150,8 +150,8 @@ class ToothPass(eqx.Module):
         nodes: Poses at equal steps of time, shape (node, 3); one for a tool that stands
             still.
         first: Steps from pose 0 to node 0, shape ().
-        forward: Direction of motion along tool x and y, a unit vector, shape (2,).
-        passing: Node, in parts too, at which the tooth looks forward at the tip, ().
+        feed_direction: Unit direction of motion along tool x and y, shape (2,).
+        passing_node: Node, in parts too, at which the tooth points along the feed, ().
         last: Last node that is known; later the tool is taken to stand there, ().
         substeps: Steps per tooth period.
         teeth: Mask of the teeth that make the pass, of a cutter with run-out, shape
@@ -160,15 +160,15 @@ class ToothPass(eqx.Module):
 
     nodes: Pose
     first: Int[Array, ""]
-    forward: Float[Array, " 2"]
-    passing: Float[Array, ""]
+    feed_direction: Float[Array, " 2"]
+    passing_node: Float[Array, ""]
     last: Float[Array, ""]
     substeps: int = eqx.field(static=True)
     teeth: Bool[Array, " tooth"] | None = None
 
     def center(self) -> Pose:
-        """Pose at which the tooth looks forward, shape (3,)."""
-        return self.at(clamp(0.0, self.passing, self.last))
+        """Pose at which the tooth points along the feed, shape (3,)."""
+        return self.at(clamp(0.0, self.passing_node, self.last))
 
     def at(self, node: Float[Array, "*end"]) -> Pose:
         """Poses at some nodes, interpolated, shape (..., 3).
@@ -190,12 +190,14 @@ class ToothPass(eqx.Module):
     def refined(self, parts: int) -> "ToothPass":
         """Same pass with every step in some parts."""
         count = (self.nodes.tip.shape[0] - 1) * parts + 1
-        fine = self.at(jnp.arange(count, dtype=self.passing.dtype) / parts)
-        first, passing, last = (
-            parts * value for value in (self.first, self.passing, self.last)
+        fine = self.at(jnp.arange(count, dtype=self.passing_node.dtype) / parts)
+        first, passing_node, last = (
+            parts * value for value in (self.first, self.passing_node, self.last)
         )
         steps = parts * self.substeps
-        return ToothPass(fine, first, self.forward, passing, last, steps, self.teeth)
+        return ToothPass(
+            fine, first, self.feed_direction, passing_node, last, steps, self.teeth
+        )
 
     def offset(
         self, cutter: AbstractCutter, height: Float[Array, "*#end"]
@@ -241,13 +243,13 @@ class ToothPass(eqx.Module):
         **Differentiability**: taken as a constant: as an end moves, another pose cuts
         it, by (way in a radian / R) of its motion.
         """
-        sin, cos = self.forward[0], self.forward[1]
+        sin, cos = self.feed_direction[0], self.feed_direction[1]
         turn = _turn_between(x * sin + y * cos, x * cos - y * sin)
         if height is not None and cutter.has_helix:
             lead = jnp.tan(jnp.asarray(cutter.helix_angle, turn.dtype))
             turn = turn + height * lead / (cutter.diameter / 2)
         nodes_per_radian = cutter.flute_count * self.substeps / (2 * math.pi)
-        node = jax.lax.stop_gradient(self.passing + nodes_per_radian * turn)
+        node = jax.lax.stop_gradient(self.passing_node + nodes_per_radian * turn)
         node = clamp(0.0, node, self.last)
         # Whole ticks from node 0, such that they are whole from pose 0 too.
         part = self._first_ticks(node.dtype)
@@ -274,8 +276,8 @@ def standing(pose: Pose, index: Int[Array, ""]) -> ToothPass:
         index: Index of the pose, shape ().
     """
     zero = jnp.zeros((), pose.tip.dtype)
-    forward = jnp.zeros(2, pose.tip.dtype).at[1].set(1)
-    return ToothPass(pose[None], index, forward, zero, zero, 1)
+    feed_direction = jnp.zeros(2, pose.tip.dtype).at[1].set(1)
+    return ToothPass(pose[None], index, feed_direction, zero, zero, 1)
 
 
 def cut_interval(
@@ -302,7 +304,7 @@ def cut_interval(
     center = tooth.center()
     if tooth.nodes.tip.shape[0] == 1:
         start, stop, is_hit = _intersect_teeth(cutter, family, b, c, center, tooth)
-        when = jnp.broadcast_to(tooth.ticks(tooth.passing), is_hit.shape)
+        when = jnp.broadcast_to(tooth.ticks(tooth.passing_node), is_hit.shape)
         return CutInterval(start, stop, is_hit, when, when)
     # Computed once, not by every ray.
     center = materialise(center)
@@ -321,7 +323,7 @@ def cut_interval(
     # Both ends at once, in a leading axis.
     is_stop = jnp.arange(2, dtype=jnp.int32)[:, None, None] > 0
     u, v = (x[None] for x in _lines(cutter, family, b, c, center))
-    pose, node = center, tooth.passing
+    pose, node = center, tooth.passing_node
     offset = tooth.offset(cutter, jnp.zeros_like(u))
     start, stop, is_hit = _intersect(cutter, family, u, v, pose, offset)
     for _ in range(_POSE_ITERATIONS):

@@ -79,7 +79,8 @@ class MotorCommand(eqx.Module):
     """Command to the motors in one sub-step.
 
     Attributes:
-        position: theta in the middle of the sub-step [rad or m], shape (joint,).
+        position: theta at the instant that the caller states [rad or m], shape
+            (joint,).
         rate: Its constant rate [rad/s or m/s], shape (joint,).
     """
 
@@ -118,7 +119,7 @@ class AbstractIntegrator(eqx.Module):
     def step(
         self,
         robot: Robot,
-        begun: PyTree,
+        prepared: PyTree,
         state: ArmState,
         command: MotorCommand,
         load: Float[Array, " joint"],
@@ -128,7 +129,7 @@ class AbstractIntegrator(eqx.Module):
 
         Args:
             robot: The robot.
-            begun: What `begin` has prepared.
+            prepared: What `begin` has prepared.
             state: At the start of the sub-step.
             command: Where the motors should be.
             load: Joint torques of the cutting force, J^T F [N m or N], (joint,).

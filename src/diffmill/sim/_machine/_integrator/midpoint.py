@@ -20,17 +20,18 @@ class _Linearised(eqx.Module):
     """The terms of a period: bias, A^-1, and M where A changes by the sub-step.
 
     Attributes:
-        weight: Where between start and end of a sub-step forces act; 1/2 or per joint.
-        terms: Those of the arm; the weight's part of the bias changes with q.
+        implicitness: Share of the sub-step at which forces act: 1/2 for the midpoint
+            rule, 1 for backward Euler; may differ by joint.
+        terms: Those of the arm; gravity in the bias changes with q.
         inverse: A^-1, or None where A changes by the sub-step.
     """
 
-    weight: Float[Array, " joint"] | float
+    implicitness: Float[Array, " joint"] | float
     terms: ArmTerms
     inverse: Float[Array, "joint joint"] | None
 
     def bias(self, q: Float[Array, " joint"]) -> Float[Array, " joint"]:
-        """Return C + G near the joints of the terms, G to first order."""
+        """Bias forces C + G near the joints of the terms, G to first order."""
         moved = q - self.terms.joint_positions
         return self.terms.bias_forces + self.terms.gravity_stiffness @ moved
 
@@ -43,7 +44,7 @@ class Midpoint(AbstractIntegrator):
 
     Order 2 for constant terms, stable at any sub-step: it neither damps nor excites an
     oscillation, and lowers a frequency f by the share (2 pi f h)^2 / 12. The terms are
-    those that `begin` is given; of the bias, the weight follows q to first order.
+    those that `begin` is given; of the bias, gravity follows q to first order.
 
     Gears with a gap take their slopes where the sub-step begins to act, half of it
     ahead. Motors with a mass are eliminated: their part of the matrix is diagonal.
@@ -69,7 +70,7 @@ class Midpoint(AbstractIntegrator):
         self, robot: Robot, terms: ArmTerms, step: Float[Array, ""]
     ) -> _Linearised:
         M = terms.mass_matrix
-        w = _weight(robot, M, step)
+        w = _implicitness(robot, M, step)
         if robot.backlash is not None or robot.friction is not None:
             if self.dynamics == "aba":
                 raise ValueError(
@@ -88,30 +89,30 @@ class Midpoint(AbstractIntegrator):
     def step(
         self,
         robot: Robot,
-        begun: _Linearised,
+        prepared: _Linearised,
         state: ArmState,
         command: MotorCommand,
         load: Float[Array, " joint"],
         step: Float[Array, ""],
     ) -> ArmState:
         # symbols: s from the start of the sub-step to where its forces act
-        h, q, v, w = step, state.q, state.v, begun.weight
+        h, q, v, w = step, state.q, state.v, prepared.implicitness
         s = w * h
         theta, omega = command.position, command.rate
         if state.theta is not None and state.omega is not None:
             theta, omega = state.theta + s * state.omega, state.omega
         gear = robot.gear_torque(theta - q - s * v, omega - v)
-        tau = gear.torque - begun.bias(q + s * v)
+        tau = gear.torque - prepared.bias(q + s * v)
         push = h * (tau + load)
         drive = _condensed(robot, gear.stiffness, gear.damping, s)
         pull = jnp.zeros_like(v)
         if robot.motors is not None:
             pull = h * (servo_torque(robot, command, theta, omega) - gear.torque)
             push = push + drive.share * pull
-        if begun.inverse is not None:
-            dv = begun.inverse @ push
+        if prepared.inverse is not None:
+            dv = prepared.inverse @ push
         else:
-            A = begun.terms.mass_matrix + jnp.diag(drive.diagonal)
+            A = prepared.terms.mass_matrix + jnp.diag(drive.diagonal)
             dv = _braked(robot, A, push, v, h, s)
         q, v = q + h * (v + w * dv), v + dv
         if state.theta is None or state.omega is None:
@@ -121,7 +122,7 @@ class Midpoint(AbstractIntegrator):
         return ArmState(q, v, theta, state.omega + domega)
 
 
-def _weight(
+def _implicitness(
     robot: Robot, M: Float[Array, "joint joint"], step: Float[Array, ""]
 ) -> Float[Array, " joint"] | float:
     """Return 1/2, and more for fast joints whose own mode a step cannot follow.

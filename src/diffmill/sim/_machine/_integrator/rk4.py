@@ -33,7 +33,7 @@ class RungeKutta4(AbstractIntegrator):
     def step(
         self,
         robot: Robot,
-        begun: None,
+        prepared: None,
         state: ArmState,
         command: MotorCommand,
         load: Float[Array, " joint"],
