@@ -11,6 +11,7 @@ import xarray
 
 from diffmill import config, correction, sim, viz
 from diffmill.cli import main
+from small_job import small_job
 
 PROGRAM = """G21 G17 G90 G94
 G0 X-26 Y3 Z1
@@ -19,27 +20,11 @@ G1 X-7 F6000
 G1 X-26
 M2
 """
-JOB = """
-[cutter]
-diameter = "10 mm"
+CUTTER = """diameter = "10 mm"
 teeth = 2
 overhang = "1 mm"
-holder = [{ diameter = "40 mm", length = "20 mm" }]
-[spindle]
-speed = "8000 rpm"
-[force]
-K_tc = "989.8 N/mm^2"
-K_rc = "337.3 N/mm^2"
-K_ac = "66.9 N/mm^2"
-[stock]
-lower = ["-4 mm", "0 mm", "-2 mm"]
-upper = ["6 mm", "6 mm", "0 mm"]
-spacing = "0.5 mm"
-[program]
-file = "part.ngc"
-[robot]
-rigid = true
-"""
+holder = [{ diameter = "40 mm", length = "20 mm" }]"""
+JOB = small_job(CUTTER).replace('lower = ["0 mm"', 'lower = ["-4 mm"')
 ELASTIC = """
 [[machine.modes]]
 frequency = "12 Hz"
@@ -221,30 +206,21 @@ def test_the_verdict_tells_of_chatter_and_scatter(folder, monkeypatch, capsys, s
     assert ("3 um rms is to be expected" in verdict) == (step is band)
 
 
-def test_chatter_is_told_before_anything_is_corrected(folder, monkeypatch, capsys):
+@pytest.mark.parametrize(
+    ("search", "words"),
+    [(chatter, "warning: the cut is unstable"), (fail, "no memory left")],
+)
+def test_chatter_is_told_before_anything_is_corrected_and_its_failure_stops_nothing(
+    folder, monkeypatch, capsys, search, words
+):
     (folder / "job.toml").write_text(JOB.replace("[robot]\nrigid = true\n", ELASTIC))
-    monkeypatch.setattr(sim.Stability, "where_suspected", chatter)
+    monkeypatch.setattr(sim.Stability, "where_suspected", search)
 
     def correct(job, *, on_predicted, **_):
         on_predicted(fake_simulate(job, on_progress=None))
-        assert "warning: the cut is unstable" in capsys.readouterr().err
+        assert words in capsys.readouterr().err
         raise KeyboardInterrupt
 
     monkeypatch.setattr(correction, "correct", correct)
     assert main(["correct", "job.toml"]) == 1
     assert "interrupted" in capsys.readouterr().err
-
-
-def test_a_search_for_chatter_that_fails_stops_no_correction(
-    folder, monkeypatch, capsys
-):
-    (folder / "job.toml").write_text(JOB.replace("[robot]\nrigid = true\n", ELASTIC))
-    monkeypatch.setattr(sim.Stability, "where_suspected", fail)
-
-    def correct(job, *, on_predicted, **_):
-        on_predicted(fake_simulate(job, on_progress=None))
-        assert "no memory left" in capsys.readouterr().err
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(correction, "correct", correct)
-    assert main(["correct", "job.toml"]) == 1
