@@ -44,49 +44,42 @@ def written_errors(
     from ...io import OffsetStream
 
     job = job.with_precision()
-    own = final.contour.rms
-    contours, lines = {}, []
+    with_tips = lambda tips: eqx.tree_at(lambda p: p.positions, job.path, tips)
+    paths, readings = {}, {}
     for suffix in job.output.suffixes:
-        name = f"corrected{suffix}"
-        axis = job.output.tool_axis
-        path = written_path(folder / name, float(job.tooth_period), tool_axis=axis)
-        if path is None:
-            lines.append(f"{name}: not run, since it states feeds instead of times")
-            continue
-        contours[name] = _run_written(job, final, path)
-        rms = contours[name].rms
-        lines.append(
-            f"{name}: read back and run, it leaves {rms * 1e6:.2f} um rms where the "
-            f"tool cuts; its command leaves {own * 1e6:.2f} um"
-        )
-        if not rms <= _NOTED_ERROR_RATIO * own:
-            lines.append(
-                f"note: {name} leaves {rms / own:.2g} times the error of its command: "
-                "[output] tolerance is "
-                f"{job.output.tolerance * 1e6:g} um, a smaller one takes more blocks"
-            )
+        name, axis = f"corrected{suffix}", job.output.tool_axis
+        period = float(job.tooth_period)
+        paths[name] = written_path(folder / name, period, tool_axis=axis)
+        readings[name] = "read back and run"
     if job.output.stream_cycle > 0:
         stream = OffsetStream.read(folder / "stream.csv")
-        tips = np.asarray(job.path.positions) + stream.at(
-            np.asarray(job.path.time) - float(job.path.time[0])
-        )
-        streamed = eqx.tree_at(lambda p: p.positions, job.path, tips)
-        contours["stream.csv"] = contour = _run_written(job, final, streamed)
-        lines.append(
-            f"stream.csv: read back, added to the program and run, it leaves "
-            f"{contour.rms * 1e6:.2f} um rms where the tool cuts"
-        )
+        time = np.asarray(job.path.time) - float(job.path.time[0])
+        tips = np.asarray(job.path.positions) + stream.at(time)
+        paths["stream.csv"] = with_tips(tips)
+        readings["stream.csv"] = "read back, added to the program and run"
     if program is not None:
-        name = f"moved{program.suffix}"
-        tips = moved_path(job, program, folder)
-        if tips is None:
-            lines.append(f"{name}: not run, since its arcs are written in pieces")
-        else:
-            moved = eqx.tree_at(lambda p: p.positions, job.path, tips)
-            contours[name] = contour = _run_written(job, final, moved)
+        name, tips = f"moved{program.suffix}", moved_path(job, program, folder)
+        paths[name] = None if tips is None else with_tips(tips)
+        readings[name] = "read back, timed and run"
+    own, contours, lines = final.contour.rms, {}, []
+    for name, path in paths.items():
+        is_loaded = name.startswith("corrected")
+        if path is None:
+            reason = "it states feeds instead of times"
+            reason = reason if is_loaded else "its arcs are written in pieces"
+            lines.append(f"{name}: not run, since {reason}")
+            continue
+        contours[name] = contour = _run_written(job, final, path)
+        line = f"{name}: {readings[name]}, it leaves {contour.rms * 1e6:.2f} um rms "
+        line += "where the tool cuts"
+        if is_loaded:
+            line += f"; its command leaves {own * 1e6:.2f} um"
+        lines.append(line)
+        if is_loaded and not contour.rms <= _NOTED_ERROR_RATIO * own:
             lines.append(
-                f"{name}: read back, timed and run, it leaves {contour.rms * 1e6:.2f} "
-                "um rms where the tool cuts"
+                f"note: {name} leaves {contour.rms / own:.2g} times the error of its "
+                f"command: [output] tolerance is {job.output.tolerance * 1e6:g} um, a "
+                "smaller one takes more blocks"
             )
     return contours, lines
 
