@@ -1,5 +1,7 @@
 """The analyses and figures of a run, added to results that are already written."""
 
+import contextlib
+import ctypes
 import pathlib
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
@@ -7,9 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 import numpy as np
 
 from ._session.attempts import Attempts
-from ._session.memory import give_back_memory
 from ._session.progress import Progress
-from ._written.surface_file import write_surface
 
 if TYPE_CHECKING:
     from .._job import Job
@@ -91,6 +91,16 @@ def add_analyses(folder: pathlib.Path, run: FinishedRun, progress: Progress) -> 
     give_back_memory()
     attempts.add(folder, fill)
     return attempts.conclude(folder)
+
+
+def give_back_memory() -> None:
+    """Return freed memory to the system.
+
+    A compiled program takes several times its final size while it is made, or read.
+    Where the C library has no such function nothing is done.
+    """
+    with contextlib.suppress(AttributeError, OSError, TypeError):
+        ctypes.CDLL(None).malloc_trim(0)
 
 
 def _with_written(
@@ -247,7 +257,7 @@ def _write_pictures(
         chosen = run.dataset.attrs.get("corrected_case", "")
         inputs = figure_inputs(run.job, run.solutions, run.surfaces, chosen=chosen)
         if inputs["surfaces"]:
-            write_surface(folder / "surface.nc", inputs["surfaces"])
+            _write_surface(folder / "surface.nc", inputs["surfaces"])
     with attempts.at("figures"):
         figures = write_figures(folder, run.dataset, **inputs)
     dataset = _with_notes(run.dataset, [f"warning: {x}" for x in attempts.lines()])
@@ -256,3 +266,46 @@ def _write_pictures(
             folder, dataset, figures, surfaces=inputs.get("surfaces"), job=run.job
         )
     return dataset
+
+
+def _write_surface(file: pathlib.Path, surfaces: "dict[str, SurfaceError]") -> None:
+    """Write the errors of the machined surface as netCDF, a row for each point.
+
+    Args:
+        file: Path of the file.
+        surfaces: Surface error by case.
+    """
+    import xarray
+
+    def rows(name: str) -> np.ndarray:
+        return np.concatenate([getattr(item, name) for item in surfaces.values()])
+
+    def about(meaning: str, units: str = "1") -> dict[str, str]:
+        return {"units": units, "long_name": meaning}
+
+    counts = [len(item.error) for item in surfaces.values()]
+    distance = "distance from the ideal surface, positive where material was left"
+    normal = "outward normal of the ideal surface at its nearest place"
+    dataset = xarray.Dataset(
+        {
+            "surface_error": ("point", rows("error"), about(distance, "m")),
+            "position": (
+                ("point", "axis"),
+                rows("points"),
+                about("point on the machined surface in work", "m"),
+            ),
+            "normal": (("point", "axis"), rows("normal"), about(normal)),
+            "is_floor": ("point", rows("is_floor"), about("a floor, else a wall")),
+            "is_cut": (
+                "point",
+                rows("is_cut"),
+                about("a tool cut the point, else it is left of the raw stock"),
+            ),
+        },
+        coords={
+            "case": ("point", np.repeat(list(surfaces), counts)),
+            "axis": ["x", "y", "z"],
+        },
+        attrs={"Conventions": "CF-1.11"},
+    )
+    file.write_bytes(dataset.to_netcdf(engine="h5netcdf"))

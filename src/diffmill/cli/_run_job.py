@@ -19,6 +19,7 @@ from .._results_folder import ResultsFolder
 from ._analyses import (
     FinishedRun,
     add_analyses,
+    give_back_memory,
     job_stability,
     stability_lines,
 )
@@ -32,7 +33,6 @@ from ._session.errors import (
     interruption_leaves,
     locked_folder,
 )
-from ._session.memory import give_back_memory
 from ._session.progress import Progress
 
 if TYPE_CHECKING:
