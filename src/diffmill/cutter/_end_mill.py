@@ -46,18 +46,18 @@ class EndMill(AbstractCutter):
         runout: Offset of the cutter from the axis of rotation [m].
         runout_angle: Direction of that offset from tooth 0 [rad].
         dish_angle: Angle by which a flat end rises from the corner to the center [rad];
-            only an upright cutter's bottom edges and what it leaves of columns know it.
+            it acts on an upright cutter's bottom edges, and on the ends of columns.
         kind: "flat", "ball" or "bull".
         flute_count: Number of flutes N_z.
         flute_length: Height of the cutting part above the tip [m].
         nominal_radius: Radius that sizes the windows of rays [m]; it does not
             change when `diameter` is differentiated or traced.
         nominal_corner_radius: Corner radius that sizes the edge elements [m].
-        has_helix: Whether the flutes are helical; straight ones share their angles.
-        has_dish: Whether a flat end is ground hollow.
-        has_runout: Whether a run-out is set, or traced.
-        has_even_pitch: Whether the teeth stand at equal angles; False if traced.
-        is_plain: Whether the end is flat, the pitch even and no run-out set or traced.
+        has_helix: True for helical flutes; straight ones share their angles.
+        has_dish: True for a flat end that is ground hollow.
+        has_runout: True if a run-out is set, or traced.
+        has_even_pitch: True if the teeth stand at equal angles; False if traced.
+        is_plain: True if the end is flat, the pitch even and no run-out set or traced.
             Such a cutter may be taken through programs without derivatives by
             corner radius, pitch and run-out.
     """
@@ -223,8 +223,8 @@ class EndMill(AbstractCutter):
             offset: Radial offset of the edge that cuts each ray [m], broadcast.
 
         Returns:
-            Entry and exit along the ray [m], and whether the ray is hit; entry and
-            exit are finite but without meaning where it is not.
+            Entry and exit along the ray [m]; finite but without meaning where the ray
+            is not hit.
 
         Differentiability: smooth where a ray is hit away from grazing; the square
         root is guarded, so gradients are finite everywhere: slopes of a round end along
@@ -303,9 +303,8 @@ class EndMill(AbstractCutter):
             offset: Radial offset of the edge that cuts each ray [m], broadcast.
 
         Returns:
-            Entry and exit along the ray [m], cut off at +-1 km, and whether the ray is
-            hit, each of shape (...); entry and exit are finite but without meaning
-            where it is not.
+            Entry and exit along the ray [m], cut off at +-1 km, each of shape (...);
+            finite but without meaning where the ray is not hit.
 
         Differentiability: in all arguments and sizes, once (second derivatives lack
             the turning of the normal); slopes are cut off at 1000 where a ray runs

@@ -4,8 +4,8 @@ They are mechanistic: per width of an edge, linear in the chip thickness (Altint
 a power of it (Kienzle), plus an edge force where there is a chip. Coefficients may
 differ from tooth to tooth; `materials` lists published ones.
 
-Assumes that the force follows the chip at once. Chip thickness and where the edges are
-in the stock is the business of `process`.
+Assumes that the force follows the chip at once. Chip thickness and the places of the
+edges in the stock are those of `process`.
 """
 
 from ._files import material as material, materials as materials

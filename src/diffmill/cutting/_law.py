@@ -148,7 +148,7 @@ def tooth_count_of(*coefficients: ToothValues) -> int | None:
         *coefficients: Each of shape () or (tooth,), as `check_teeth` lets them pass.
     """
     for value in coefficients:
-        # What is traced of a list is a list, which NumPy cannot take.
+        # A traced list is a list of tracers, which NumPy cannot take.
         shape = (len(value),) if isinstance(value, list) else np.shape(value)
         if shape:
             return shape[0]

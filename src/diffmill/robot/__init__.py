@@ -2,7 +2,7 @@
 
 What it models: a tree of rigid links built from elements in any order; each joint
 hangs on its motor by a spring and a damper, tau = K (theta - q) + D (thetad - qd),
-the motor standing where the controller leads it. A virtual joint has the spring but no
+the motor standing at the controller's output. A virtual joint has the spring but no
 motor. Backlash, friction and motors with a mass on a servo are there where their data
 are. Assumptions: all elasticity is in joints, springs and dampers are linear but for a
 gap; what motors do of their command, a `Controller` tells. Compliance and modes are

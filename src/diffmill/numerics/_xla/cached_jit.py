@@ -161,8 +161,8 @@ class CachedJit(Generic[P, R]):
     def _traced(self, arguments: object) -> TracedProgram | None:
         """Traced program; None where it cannot be stored.
 
-        It then holds what is not known by its name, or calls what JAX does not export.
-        What the function itself refuses, it refuses where it is called.
+        It then holds an object that is not known by its name, or calls one that JAX
+        does not export. An error of the function itself is raised where it is called.
         """
         leaves, structure = jax.tree.flatten(arguments)
         results: list[str] = []

@@ -4,8 +4,8 @@ Such a function takes every number as an array of its own, whose only axis is th
 batch, so that zeros and symmetry cost nothing and a batch runs along SIMD registers.
 
 XLA's CPU compiler fuses such code until every result computes its own inputs again.
-Two attributes of its calls stop that, for these operations alone: what a call that is
-not inlined returns is stored (`materialise`), and a call that is declared small is
+Two attributes of its calls stop that, for these operations alone: the results of a call
+that is not inlined are stored (`materialise`), and a call that is declared small is
 compiled to one function without a dispatch per operation.
 """
 

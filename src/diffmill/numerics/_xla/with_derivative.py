@@ -21,8 +21,8 @@ def with_derivative_of(
         values: A tree of arrays.
         function: Returns a tree like `values`. It is traced where a derivative is
             asked for, and not otherwise.
-        arguments: Its arguments, trees of arrays; what is differentiated must be among
-            them, since what the function closes over counts as a constant.
+        arguments: Its arguments, trees of arrays, with all that is differentiated: a
+            value that the function closes over counts as a constant.
 
     Returns:
         `values`.
@@ -39,7 +39,7 @@ def _valued(function: Callable[..., _T], values: _T, arguments: PyTree) -> _T:
 
 
 def _jvp(function: Callable[..., _T], primals: Any, tangents: Any) -> tuple[_T, _T]:
-    # Not the bare values: what is built on them may be differentiated once more.
+    # Not the bare values: a result of them may be differentiated once more.
     values = _valued(function, *primals)
     leaves, tree = jax.tree.flatten(primals[1])
     slopes = tree.flatten_up_to(tangents[1])

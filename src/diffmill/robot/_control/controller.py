@@ -5,7 +5,7 @@ signal:
 
     moving average    (1 / T_f) int_{t - T_f}^t u        a limit of the jerk
     input shaper      A_1 u(t) + A_2 u(t - T_d / 2)      leaves a mode at rest
-    interpolation     u at the instants n T_c, and what the drive makes of them
+    interpolation     u at the instants n T_c, and the drive's path through them
     dead time         u(t - t_0)
     low-pass          y' = w_f (u - y)
     servo             y' = w (u - y)   or   y'' + 2 zeta w y' + w^2 y = w^2 u
@@ -16,13 +16,14 @@ exact, and so are the servos for an input that is linear between the instants at
 they are evaluated, and for a staircase that jumps once between them.
 
 A path is known beforehand, so that a delay alone leaves no error on the part: it only
-makes the program late. `motors` therefore tells the motors on a clock that is late by
-the chain's mean delay: what remains is what it does to the shape of the path, and where
-the joints differ.
+makes the program late. `motors` therefore gives the motors on a clock that is late by
+the chain's mean delay: only changes of the path's shape remain, and differences between
+the joints.
 
 On that clock an instant needs the command before and behind it. Filters need a few rows
-of either, and servos what they do at the instant before; cycles count from the start of
-the path. So a path can be gone through piece by piece, by `begin` and `follow`.
+of either, and servos their own output at the instant before; cycles count from the
+start of the path. So a path can be gone through piece by piece, by `begin` and
+`follow`.
 """
 
 import dataclasses
@@ -444,8 +445,8 @@ class Controller(eqx.Module):
         span = signal.time_step
         if self.interpolation_cycle is not None:
             span = jnp.maximum(span, jnp.asarray(self.interpolation_cycle, dtype))
-        rest = jnp.stack([first - span / signal.time_step, first])
-        at = Instants(jnp.zeros(2, jnp.int32), rest)
+        instants = jnp.stack([first - span / signal.time_step, first])
+        at = Instants(jnp.zeros(2, jnp.int32), instants)
         ends, _ = self._set_points(signal, at)
         rate, now = (ends[1] - ends[0]) / span, ends[1]
         filtered = position = speed = None

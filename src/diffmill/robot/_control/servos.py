@@ -1,7 +1,7 @@
 """Low-pass and servos: exact for ramps, and for inputs that jump and then stand still.
 
 A lag u - y stays right in single precision, where y does not: a step that is short
-beside the servo's time would round away what it changes.
+beside the servo's time would lose its change in the rounding.
 """
 
 import math

@@ -88,7 +88,7 @@ def _solve_jvp(
     d_robot, d_q, d_qd, d_tau, d_wrench = tangents
     slopes = rnea_derivatives(robot, q, qd, qdd, wrench)
     times = lambda matrix, vector: sum_rows(matrix, vector[:, None])[:, 0]
-    # What does not change has a zero without a value: nothing is computed for it.
+    # An argument that does not change has a symbolic zero: nothing is computed for it.
     changes = [
         (d_tau, lambda d: d),
         (d_q, lambda d: -times(slopes.position, d)),
@@ -113,7 +113,7 @@ def _change_with_robot(primals: tuple[Any, ...], qdd: Array, d_robot: Any) -> Ar
     robot, q, qd, _, wrench = primals
 
     # The reverse mode computes the motion again: inside a scan that is faster than
-    # storing what every step passed through.
+    # storing every step's intermediate values.
     @jax.checkpoint
     def needed(robot: Robot) -> Array:
         return inverse_dynamics(robot, q, qd, qdd, wrench)

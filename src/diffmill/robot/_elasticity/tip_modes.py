@@ -2,11 +2,11 @@
 
     u = Phi q,   q'' + 2 zeta omega q' + omega^2 q = Phi^T F - Gamma a
 
-u deflection of the tip, F force on it, a acceleration of what carries the structure.
+u deflection of the tip, F force on it, a acceleration of the structure's foundation.
 Phi are the mode shapes at the tip, normalised to a modal mass of 1 kg: a mode with the
 modal mass m, or the modal stiffness k, in the direction d has phi = d / sqrt(m) = omega
-d / sqrt(k). Gamma are the participation factors: how much of a mode's mass moves along
-where the structure is carried as it is.
+d / sqrt(k). Gamma are the participation factors: the part of a mode's mass that moves
+along with the foundation.
 
 Reference: Ewins, Modal Testing, 2000, chapter 2; for the participation factors Clough,
 Penzien, Dynamics of Structures, chapter on support excitation.

@@ -52,11 +52,11 @@ def load(
             .urdf).
         tool: Name of the tool to use, in a URDF of the link whose frame it is; may be
             left out if there is only one, in a URDF if only one link carries no other.
-        drives: Path of a TOML file with what the robot's own does not say: tables
-            `stiffness` and `damping`, the joints' names as keys and quantities such as
-            "3 MN*m/rad" as values; `drive`, with a table per joint; `locked`, where
-            joints stand that cannot move; `spindle`, what the flange carries; and
-            `base_rpy`, how the base stands where gravity points down.
+        drives: Path of a TOML file that completes the robot's own: tables `stiffness`
+            and `damping`, the joints' names as keys and quantities such as "3 MN*m/rad"
+            as values; `drive`, with a table per joint; `locked`, the positions of
+            joints that cannot move; `spindle`, the body at the flange; and `base_rpy`,
+            the orientation of the base where gravity points down.
 
     Returns:
         The robot; its arrays have the floating point type that is JAX's default at
@@ -75,7 +75,7 @@ def load(
     file = os.fspath(model_or_file)
     is_urdf = Path(file).suffix.lower() in _URDF_SUFFIXES
     if is_urdf:
-        found = read_urdf(_read_file(file), file, tool)
+        description = read_urdf(_read_file(file), file, tool)
     else:
         document = _parse(_read_model(file), file)
         if "elements" not in document and _JOB_TABLES & set(document):
@@ -84,17 +84,17 @@ def load(
                 "`elements`); its robot is what its table [robot] names, which "
                 "`diffmill robot` and `load_job` take with its tool."
             )
-        found = read_elements(document, file)
-    mounted = MountedElements(found.elements, np.eye(3))
+        description = read_elements(document, file)
+    mounted = MountedElements(description.elements, np.eye(3))
     if drives is not None:
         side = os.fspath(drives)
         setup = _parse(_read_file(side), side)
-        mounted = apply_setup(setup, side, found.elements, tool)
+        mounted = apply_setup(setup, side, description.elements, tool)
     try:
-        robot = build(mounted.elements, tool=tool, name=found.name)
+        robot = build(mounted.elements, tool=tool, name=description.name)
     except ValueError as error:
         raise RobotFileError(f"{file}: {error}") from error
-    _warn(robot, found.notes, file)
+    _warn(robot, description.notes, file)
     gravity = jnp.asarray(mounted.base.T, robot.dtype) @ robot.gravity
     return eqx.tree_at(lambda r: r.gravity, robot, gravity)
 

@@ -47,8 +47,8 @@ def read_urdf(data: bytes, file: str, tool: str | None) -> RobotDescription:
     except ValueError as error:
         raise_faults(file, [str(error)])
         raise
-    found = parser.root(root)
-    links, joints = found.links, found.joints
+    parsed = parser.root(root)
+    links, joints = parsed.links, parsed.joints
     if not (links or parser.faults):
         parser.faults.append("there is no link")
     # Parts without names or ends would give faults of the tree that are none.
@@ -84,7 +84,7 @@ def read_urdf(data: bytes, file: str, tool: str | None) -> RobotDescription:
     parser.notes.extend(_massless_notes(by_name, children, start))
     parser.notes.extend(_placeholder_notes(links))
     elements = _branch(by_name, children, start, str(tool))
-    return RobotDescription(found.name, elements, parser.notes)
+    return RobotDescription(parsed.name, elements, parser.notes)
 
 
 def _root(links: Sequence[UrdfLink], joints: Sequence[UrdfJoint]) -> list[str]:

@@ -1,10 +1,10 @@
 """Links and joints of a URDF, checked one by one; all faults are collected.
 
-Read are name, version, links with their inertials, and joints with origin, axis,
-limits and mimic; effort, damping and friction are checked, but the dynamics
-here have none of them. Everything else is passed over: visuals and collisions,
-transmissions, extensions of simulators; but not what is a slip of the pen in a name
-that is read. What looks like a slip in a unit is a note.
+The parser reads name, version, links with their inertials, and joints with origin,
+axis, limits and mimic; it checks effort, damping and friction, but the dynamics here
+have none of them. It passes over everything else: visuals and collisions,
+transmissions, extensions of simulators. A misspelled name of an element that it reads
+is a fault, and a limit that seems to have another unit is a note.
 """
 
 import dataclasses
@@ -32,7 +32,7 @@ _INERTIA = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 # Plain decimal numbers: Python alone would read underscores too.
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?inf", re.ASCII)
 
-# What is read where, or is known and passed over: elements, then their attributes.
+# Elements within each element, read or passed over, then their attributes.
 _ELEMENTS = {
     "robot": ("link", "joint", "material", "transmission", "gazebo"),
     "link": ("inertial", "visual", "collision", "sensor", "contact", "gazebo"),
@@ -78,7 +78,7 @@ class UrdfLink:
 
 @dataclasses.dataclass
 class UrdfJoint:
-    """A joint: where the child's frame is in the parent's, and how it moves there."""
+    """A joint: frame of the child in the parent's, and its motion there."""
 
     name: str
     place: str
@@ -165,7 +165,7 @@ class UrdfParser:
     def check_name(
         self, node: Node, what: str, name: str, known: tuple[str, ...]
     ) -> None:
-        """Note a name that is not known, but nearly."""
+        """Note a misspelled name: unknown, but like a known one."""
         if name in known:
             return
         # Vendors add to the attributes: beside the right one it is no slip.

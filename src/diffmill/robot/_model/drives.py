@@ -2,7 +2,7 @@
 
 Backlash: the gear carries nothing within a gap. Friction: of the joint, on its own side
 of the gear. Motors: a mass behind the gear that a servo holds, instead of one that
-stands where the controller says. What is None is absent from the compiled program.
+stands at its command. An option that is None is absent from the compiled program.
 """
 
 import math
@@ -33,7 +33,7 @@ class Backlash(eqx.Module):
         self, x: Float[Array, " joint"]
     ) -> tuple[Float[Array, " joint"], Float[Array, " joint"]]:
         """Stretch s(x) of the springs behind the gap, and its slope."""
-        # symbols: b gap, w width of a corner, u how far x is into the corner
+        # symbols: b gap, w width of a corner, u depth of x in the corner
         b, w = self.gap, self.corner * self.gap
         has_gap = b > 0.0
         size, safe = jnp.abs(x), jnp.where(has_gap, w, 1.0)
@@ -46,9 +46,10 @@ class Backlash(eqx.Module):
     def deflection(self, y: Float[Array, " joint"]) -> Float[Array, " joint"]:
         """Stretch s^-1(y) of gears whose springs are stretched by y.
 
-        What carries next to nothing is in the middle of its gap.
+        A gear that carries next to nothing is in the middle of its gap.
         """
-        # symbols: b gap, w width of a corner, y_0 and x_0 where springs begin to count
+        # symbols: b gap, w width of a corner, y_0 and x_0 least stretch of a spring and
+        # of its gear that count
         b, w = self.gap, self.corner * self.gap
         has_gap, size = b > 0.0, jnp.abs(y)
         y_0, x_0 = self._least_load(), self._least_stretch()

@@ -1,7 +1,7 @@
 """The elements of a robot: combined in any order they make a tree.
 
 Elements are data of the host (floats, sequences, NumPy); `build` compiles them into
-the arrays of a `Robot`, and those are what one differentiates by.
+the arrays of a `Robot`, which are those to differentiate by.
 """
 
 import math
@@ -91,8 +91,8 @@ class Drive(eqx.Module):
         viscous_friction: Of the joint [N m s/rad or N s/m].
         friction_speed: Above it the joint slides [rad/s or m/s].
         motor_inertia: Of the motor on the joint's side of the gear [kg m^2 or kg];
-            None for a motor that stands where the controller says.
-        servo_stiffness: What holds the motor [N m/rad or N/m].
+            None for a motor that stands at its command.
+        servo_stiffness: Stiffness of the servo that holds the motor [N m/rad or N/m].
         servo_damping: [N m s/rad or N s/m].
     """
 

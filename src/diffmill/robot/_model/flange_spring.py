@@ -85,7 +85,7 @@ class FlangeSpring(eqx.Module):
         c = jnp.asarray(self.center_of_mass, dtype)
         moments = jnp.asarray(self.inertia, dtype)
         body = Body(m, c, jnp.diag(moments))
-        # About the springs: what a turning spring moves if all else stands still.
+        # Inertia that a turning spring moves if all else stands still.
         swung = moments + m * (jnp.sum(c**2)[None] - c**2)
         zeta = jnp.asarray(self.damping_ratio, dtype)
         springs = []

@@ -50,13 +50,13 @@ class Robot(eqx.Module):
         joint_names: Order of the joint vector.
         body_kinds: "revolute" or "prismatic", the kind of each body's joint.
         parents: Index of each body's parent, -1 for the base; below its own index.
-        is_virtual: Whether a joint has a spring but no motor, per joint.
+        is_virtual: True for a joint with a spring but no motor, per joint.
         flange_joint: Body that carries the flange, -1 for the base.
         mimics: Per body None, or for one whose joint mimics another: the index of
             that joint in the joint vector, multiplier, offset [rad or m].
         backlash: Gaps in the gears, or None.
         friction: Friction of the joints, or None.
-        motors: Masses of the motors, or None: they stand where the controller says.
+        motors: Masses of the motors, or None: they stand at their commands.
         joint_speed: Fastest motion of each joint [rad/s or m/s], shape (joint,);
             infinite where it is not known, None for all of them.
         fast_joints: Indices of joints whose own mode is far too fast for the steps of
@@ -293,7 +293,7 @@ class Robot(eqx.Module):
 
             J_m theta'' = K_s (theta_c - theta) + D_s (theta_c' - theta') - tau
 
-        theta_c is what the controller commands, tau what the gear carries. All numbers
+        theta_c is the controller's command, tau the torque of the gear. All numbers
         are behind the gear, on the joint's side: a rotor's inertia times the ratio
         squared.
 

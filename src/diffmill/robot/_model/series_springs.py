@@ -57,7 +57,7 @@ def with_series_springs(
     Args:
         robot: The robot.
         springs: One after the other; with all at 0 the tool is where it was.
-        body: What the last spring carries.
+        body: Body on the last spring.
         T_flange_springs: Frame in which they act, in the flange's, shape (4, 4).
 
     Returns:
@@ -76,7 +76,7 @@ def with_series_springs(
     to_end = jnp.asarray(aligns[-1].T, dtype)
     T_first = matrix_product(robot.T_joint_flange, T_flange_springs)
     first = matrix_product(T_first[:3, :3], jnp.asarray(aligns[0], dtype))
-    rest = [jnp.asarray(turn, dtype) for turn in turns]
+    others = [jnp.asarray(turn, dtype) for turn in turns]
     R, p = T_flange_springs[:3, :3], T_flange_springs[:3, 3]
     # Back from the springs to the flange's own frame.
     back = matrix_product(to_end, R.T)
@@ -94,7 +94,9 @@ def with_series_springs(
     own = range(robot.body_count, robot.body_count + count)
     return dataclasses.replace(
         robot,
-        placement_rotations=join(robot.placement_rotations, jnp.stack([first, *rest])),
+        placement_rotations=join(
+            robot.placement_rotations, jnp.stack([first, *others])
+        ),
         placement_positions=join(
             robot.placement_positions,
             T_first[None, :3, 3],
