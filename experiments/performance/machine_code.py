@@ -13,9 +13,9 @@ import sys
 import tempfile
 import time
 
-# Rows of the example that are run, rounds over all pieces, runs and batch of the arm.
+# Rows from the middle of the example, rounds over all pieces, runs, and batch of arms.
 ROWS, ROUNDS, RUNS, BATCH = 300, 3, 5, 64
-EXAMPLE, FIRST = "paper_small", 200
+EXAMPLE = "paper_small"
 # Largest relative difference of results with and without a piece.
 AGREEMENT = 1e-8
 
@@ -77,12 +77,15 @@ def command(piece, has_store):
 
 def child(piece, task, **settings):
     """Return the figures of a process of its own without a piece."""
-    arguments = [sys.executable, __file__, piece, task, str(ROWS), str(RUNS)]
-    environment = {**os.environ, **settings}
-    found = subprocess.run(
-        arguments, env=environment, check=True, capture_output=True, text=True
+    arguments = (piece, task, EXAMPLE, str(ROWS), str(RUNS))
+    done = subprocess.run(
+        [sys.executable, __file__, *arguments],
+        env={**os.environ, **settings},
+        check=True,
+        capture_output=True,
+        text=True,
     )
-    return json.loads(found.stdout.splitlines()[-1])
+    return json.loads(done.stdout.splitlines()[-1])
 
 
 # From here on in the processes of single measurements.
@@ -163,18 +166,21 @@ def as_array(leaf):
     return jnp.asarray(leaf) if isinstance(leaf, np.ndarray) else leaf
 
 
-def run_command():
+def run_command(example):
     """Run the command in this process."""
     from diffmill.cli import main
     from diffmill.examples import copy_example
 
     folder = pathlib.Path(os.environ["FOLDER"])
-    job = copy_example(EXAMPLE, folder / "job")
-    sys.argv = ["diffmill", "simulate", str(job), "--out", str(folder / "out")]
-    return {"code": main()}
+    job = copy_example(example, folder / "job", force=True)
+    out = ["--out", str(folder / "out"), "--force"]
+    sys.argv = ["diffmill", "simulate", str(job), *out]
+    code = main()
+    assert code == 0, code
+    return {}
 
 
-def time_job(rows, runs):
+def time_job(example, rows, runs):
     """Time a run of some rows that cut, and its gradient by the commanded tips."""
     import jax
     import jax.numpy as jnp
@@ -184,8 +190,9 @@ def time_job(rows, runs):
     import diffmill as dm
     from example import load_example
 
-    job = load_example(EXAMPLE)
-    path = jax.tree.map(lambda x: np.asarray(x)[FIRST : FIRST + rows], job.path)
+    job = load_example(example)
+    first = (len(job.path.positions) - rows) // 2
+    path = jax.tree.map(lambda x: np.asarray(x)[first : first + rows], job.path)
     job = tree_at(lambda job: job.path, job, path)
 
     # An argument: XLA would fold the arrays of a constant for minutes.
@@ -251,7 +258,7 @@ def timed(name, function, arguments, runs, count):
 
 def main():
     """Do one task without a piece, and print its figures as JSON."""
-    piece, task, rows, runs = sys.argv[1:]
+    piece, task, example, rows, runs = sys.argv[1:]
     import jax
 
     import diffmill.numerics
@@ -260,12 +267,13 @@ def main():
         # All other modules take the names from here when they are imported.
         PIECES[piece](diffmill.numerics)
     if task == "command":
-        figures = run_command()
+        figures = run_command(example)
     else:
         jax.config.update("jax_enable_x64", True)
-        figures = (
-            time_job(int(rows), int(runs)) if task == "job" else time_arm(int(runs))
-        )
+        if task == "job":
+            figures = time_job(example, int(rows), int(runs))
+        else:
+            figures = time_arm(int(runs))
     print(json.dumps(figures))
 
 
