@@ -12,11 +12,13 @@ from typing import Any, NamedTuple
 from ._messages import shown
 
 # Deeper than any table of ours, and shallower than what recursion over it endures.
-_DEEPEST = 50
+_DEEPEST_LEVEL = 50
 # Of a dotted key the standard library copies each beginning: a long one takes hours.
-_PART = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')"""
-_LONG_KEY = re.compile(rf"(?<![\w-])(?:{_PART}[ \t]*+\.[ \t]*+){{{_DEEPEST}}}")
-_LARGEST = 2**63
+_KEY_PART = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')"""
+_LONG_KEY = re.compile(
+    rf"(?<![\w-])(?:{_KEY_PART}[ \t]*+\.[ \t]*+){{{_DEEPEST_LEVEL}}}"
+)
+_LARGEST_INTEGER = 2**63
 _LARGEST_FILE = 1_000_000
 # Messages of the reader of the standard library, and what the author of a file needs.
 _PLACE = re.compile(r"(?P<fault>.*) \(at line (?P<line>\d+), column \d+\)")
@@ -30,7 +32,7 @@ _MEANINGS = {
     "Cannot overwrite a value": "a key may occur only once in its table",
     "Cannot declare": "a table may occur only once",
 }
-_TOO_DEEP = f"it is nested deeper than {_DEEPEST} levels"
+_TOO_DEEP = f"it is nested deeper than {_DEEPEST_LEVEL} levels"
 
 
 class JobError(ValueError):
@@ -94,7 +96,7 @@ def parse_toml(data: bytes) -> dict[str, object]:
     try:
         text = data.decode("utf-8-sig")
         if _LONG_KEY.search(text):
-            raise ValueError(f"a key has more than {_DEEPEST} parts")
+            raise ValueError(f"a key has more than {_DEEPEST_LEVEL} parts")
         tables = tomllib.loads(text)
         _check(tables)
     except RecursionError:
@@ -130,13 +132,16 @@ def _syntax_fault(text: str, fault: str) -> str:
 def _check(tables: dict[str, Any]) -> None:
     """Refuse what is nested too deep, and whole numbers beyond 64 bits."""
     level: list[Any] = [tables]
-    for _ in range(_DEEPEST):
+    for _ in range(_DEEPEST_LEVEL):
         values = [
             value
             for one in level
             for value in (one.values() if isinstance(one, dict) else one)
         ]
-        if any(isinstance(v, int) and not -_LARGEST <= v < _LARGEST for v in values):
+        if any(
+            isinstance(v, int) and not -_LARGEST_INTEGER <= v < _LARGEST_INTEGER
+            for v in values
+        ):
             raise ValueError("a whole number has more than 64 bits")
         level = [value for value in values if isinstance(value, dict | list)]
         if not level:

@@ -23,7 +23,7 @@ _TERM = (
 _UNIT = re.compile(rf"{_TERM}(?:(?:\s*[*/\u00b7]\s*|\s+){_TERM})*")
 _MAX_UNIT_LENGTH, _MAX_LENGTH = 40, 200
 # In SI. Nothing of a machine comes near it, and its powers are still numbers.
-_LARGEST = 1e20
+_LARGEST_VALUE = 1e20
 
 
 class QuantityKind(NamedTuple):
@@ -227,9 +227,9 @@ def _convert(number: float, unit: str, kind: QuantityKind, text: str) -> float:
         raise ValueError(f"found {text!r}, but {_wanted(kind)}")
     else:
         magnitude = _convert_by_registry(number, unit, kind, text)
-    if not abs(magnitude) <= _LARGEST:
+    if not abs(magnitude) <= _LARGEST_VALUE:
         raise ValueError(
-            f"found {text!r}, but at most {_LARGEST:g} {kind.unit} is allowed"
+            f"found {text!r}, but at most {_LARGEST_VALUE:g} {kind.unit} is allowed"
         )
     return magnitude
 

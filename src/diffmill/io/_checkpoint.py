@@ -24,7 +24,7 @@ Arrays: TypeAlias = Mapping[str, Shaped[np.ndarray, "..."]]
 
 _MAGIC, _VERSION = b"diffmill-checkpoint", 4
 # Longest first line that is looked at.
-_LONGEST = 200
+_LONGEST_FIRST_LINE = 200
 # Names that the file adds to the arrays, which themselves never begin with a dot.
 _JOB, _MADE_BY = ".job", ".made_by"
 _PACKAGES = (
@@ -175,7 +175,7 @@ def _digest(version: bytes, content: bytes) -> bytes:
 def _arrays_of(file: pathlib.Path) -> dict[str, np.ndarray]:
     """Return all arrays of a file whose bytes are as they were written."""
     with open(file, "rb") as stream:
-        first = stream.readline(_LONGEST)
+        first = stream.readline(_LONGEST_FIRST_LINE)
         content = stream.read()
     words = first.split()
     if len(words) != 3 or words[0] != _MAGIC or not first.endswith(b"\n"):

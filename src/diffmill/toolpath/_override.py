@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._types import RealScalarLike
-from ._path import Path
-from ._path_feed import SAME_INSTANT, Override, PathFeed, checked_override
+from ._path import SAME_INSTANT, Path
+from ._path_feed import Override, PathFeed, checked_override
 
 Rows3 = Float[Array, "row 3"]
 

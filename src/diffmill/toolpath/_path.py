@@ -22,6 +22,8 @@ from ._turned_axes import LEAST_SUM, stand_upright, turned_axes, turned_tool_x
 # Above this a path fills the memory with its own rows, and a typing error in a feed is
 # the usual reason.
 MOST_STEPS = 1_000_000
+# Fraction of a tooth period by which sums of durations may miss a tooth instant.
+SAME_INSTANT = 1e-6
 
 
 class Path(eqx.Module):
@@ -179,7 +181,7 @@ class Path(eqx.Module):
             )
         time = time - time[0]
         check_steps(float(time[-1]) / period, float(most_steps))
-        count = max(1, math.ceil(time[-1] / period - 1e-6))
+        count = max(1, math.ceil(time[-1] / period - SAME_INSTANT))
         instants = period * np.arange(count + 1)
         inside = np.minimum(instants, time[-1])
         is_opposite = np.linalg.norm(axes[1:] + axes[:-1], axis=1) < LEAST_SUM
@@ -191,7 +193,7 @@ class Path(eqx.Module):
         before = np.searchsorted(time, inside, side="right") - 1
         before = np.minimum(before, time.size - 2)
         share = (inside - time[before]) / np.diff(time)[before]
-        row = np.searchsorted(time, inside - 1e-6 * period, side="left")
+        row = np.searchsorted(time, inside - SAME_INSTANT * period, side="left")
         row = np.minimum(row, time.size - 1)
         turned, tool_x = turned_axes(axes[before], axes[before + 1], share), None
         if self.tool_x is not None:

@@ -21,12 +21,12 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from .._types import FloatSteps, RealScalarLike
-from ._path import MOST_STEPS, Path, check_steps
+from ._path import MOST_STEPS, SAME_INSTANT, Path, check_steps
 
 # Intervals shorter than this are dwells [m].
-_DWELL = 1e-12
+_DWELL_LENGTH = 1e-12
 # A speed that changes by less than this share per row is constant but for rounding.
-_CONSTANT = 1e-6
+_CONSTANT_SPEED_SHARE = 1e-6
 
 
 # What a user may give: one number, or one per knot along the path.
@@ -37,8 +37,6 @@ Override = (
     | tuple[float, ...]
     | list[float]
 )
-# Fraction of a tooth period by which sums of durations may miss a tooth instant.
-SAME_INSTANT = 1e-6
 
 
 class PathFeed(eqx.Module):
@@ -163,7 +161,7 @@ class PathFeed(eqx.Module):
             (asked * speed) ** 2, 2 * cast(self.acceleration) * jnp.diff(middle)
         )
         # A dwell keeps its time; a root at zero needs a harmless input.
-        is_moving = speed * self.period > _DWELL
+        is_moving = speed * self.period > _DWELL_LENGTH
         safe = jnp.where(is_moving, square / jnp.where(is_moving, speed, 1.0) ** 2, 1.0)
         return jnp.sqrt(safe)
 
@@ -210,14 +208,14 @@ class PathFeed(eqx.Module):
         period = (time[-1] - time[0]) / (time.size - 1)
         steps = np.diff(rows, axis=0)
         length = np.linalg.norm(steps, axis=1)
-        if not np.any(length > _DWELL):
+        if not np.any(length > _DWELL_LENGTH):
             raise ValueError("Argument `path` must move the tool, but does not.")
         change = np.diff(steps, axis=0) / period**2
         along = np.diff(length) / period**2
         across = np.sqrt(np.maximum(np.sum(change**2, axis=1) - along**2, 0.0))
         if acceleration is None:
             acceleration = np.linalg.norm(change, axis=1).max(initial=0.0)
-            if acceleration < _CONSTANT * length.max() / period**2:
+            if acceleration < _CONSTANT_SPEED_SHARE * length.max() / period**2:
                 raise ValueError(
                     "Argument `acceleration` must be given for a path that never "
                     "accelerates, but is None."

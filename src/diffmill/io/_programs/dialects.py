@@ -6,7 +6,7 @@ from typing import NamedTuple
 from .faults import Fault
 
 # Lines that are looked through.
-_FIRST_LINES = 200
+_FIRST_LINE_COUNT = 200
 _COMMENT = re.compile(r"\([^()]*\)|;.*")
 
 
@@ -90,7 +90,7 @@ def recognised(text: str, suffix: str, *, is_gcode: bool) -> Fault | None:
     Returns:
         What it is instead; None if nothing is recognised.
     """
-    rows = text.splitlines()[:_FIRST_LINES]
+    rows = text.splitlines()[:_FIRST_LINE_COUNT]
     if any("\0" in row for row in rows):
         return Fault(0, "", "the file is binary; needed is a program as text.")
     for number, row in enumerate(rows, 1):

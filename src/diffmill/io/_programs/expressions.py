@@ -14,7 +14,9 @@ _OPERATORS = {
     ast.Mult: operator.mul,
     ast.Div: operator.truediv,
 }
-_LONGEST = 200
+_LONGEST_TEXT = 200
+# A number as robot programs write it.
+NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 # Controllers read 05 as 5, Python refuses it.
 _ZEROS = re.compile(r"(?<![\w.])0+(?=\d)")
 
@@ -34,7 +36,7 @@ def value_of(
         The value; NaN where a name is not known, it is too large, or anything else is
         found.
     """
-    if len(text) > _LONGEST:
+    if len(text) > _LONGEST_TEXT:
         return math.nan
     try:
         plain = _ZEROS.sub("", text.strip().upper())

@@ -16,6 +16,7 @@ from jaxtyping import Float
 from ...toolpath import Move, Point, Program
 
 ToolAxis: TypeAlias = Literal["x", "y", "z", "-x", "-y", "-z"]
+MM_PER_INCH = 25.4
 _MOST_PIECES = 100_000
 # Half a turn, or a quarter of one, from our tool frame to the controller's: of their
 # axes the one of the name points from the shank to the tip, as columns.

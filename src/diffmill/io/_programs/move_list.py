@@ -15,7 +15,7 @@ from .limits import (
 )
 
 # Lines that a note lists.
-_LISTED = 3
+_LISTED_LINE_COUNT = 3
 
 
 @dataclass
@@ -30,7 +30,7 @@ class _Note:
     def __str__(self) -> str:
         """Return the note as text: lines, word and sentence."""
         lines = ", ".join(str(line) for line in self.lines)
-        more = self.count - len(self.lines) if self.count > _LISTED else 0
+        more = self.count - len(self.lines) if self.count > _LISTED_LINE_COUNT else 0
         lines += f" and {more} more" if more else ""
         plural = "s" if self.count > 1 else ""
         return f"line{plural} {lines}: {self.word}: {self.sentence}"
@@ -174,7 +174,7 @@ class MoveList:
         """Note a word that changes no motion, or an assumption."""
         note = self._notes.setdefault((word, sentence), _Note(word, sentence))
         note.count += 1
-        if len(note.lines) < _LISTED and line not in note.lines:
+        if len(note.lines) < _LISTED_LINE_COUNT and line not in note.lines:
             note.lines.append(line)
 
     def finish(self, text: str) -> Program:

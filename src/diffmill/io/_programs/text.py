@@ -11,7 +11,7 @@ from .faults import Fault, ProgramError
 MOST_BYTES = 250_000_000
 MOST_LINES = 2_000_000
 # Bytes that tell how a text is encoded.
-_HEAD = 256
+_HEAD_BYTES = 256
 
 
 def read_text(path: pathlib.Path) -> str:
@@ -38,7 +38,7 @@ def read_text(path: pathlib.Path) -> str:
 
 def decoded(data: bytes) -> str:
     """Return text in UTF-16, as Windows writes it, or in UTF-8."""
-    head = data[:_HEAD]
+    head = data[:_HEAD_BYTES]
     if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return data.decode("utf-16", errors="replace")
     # Without a mark, letters of a program leave every other byte 0.

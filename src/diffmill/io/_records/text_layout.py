@@ -22,7 +22,7 @@ from .table import ELECTRIC, Label, is_unit, split_unit
 
 # Consecutive rows after which a table needs no further evidence: a header may hold
 # tables of its own.
-_CERTAIN = 1000
+_CERTAIN_ROW_COUNT = 1000
 # None stands for any number of blanks. A blank within a cell must not be one before
 # the other signs were tried.
 _DELIMITERS = ("\t", ";", ",", "|", None)
@@ -72,9 +72,9 @@ def layout_of(lines: list[str]) -> Layout | None:
             if count > most and width >= 2:
                 most = count
                 best = Layout(start, delimiter, width, False, False)
-            if count >= _CERTAIN:
+            if count >= _CERTAIN_ROW_COUNT:
                 break
-        if most >= _CERTAIN:
+        if most >= _CERTAIN_ROW_COUNT:
             break
     if best is None:
         return None

@@ -10,9 +10,9 @@ _SAME_RATE = 0.01
 # A part that begins again is a measurement of its own only from this length on.
 _SHORTEST_PART = 100
 # Stamps of one clock are this share of a usual step apart at least.
-_APART = 0.6
+_LEAST_STEP_SHARE = 0.6
 # Time between parts that each begin at zero [s]: longer than a pause within a cut.
-_PAUSE = 1.0
+_PART_PAUSE = 1.0
 _DOUBTFUL_ROW_SHARE = 0.01
 # Steps that scatter by more of themselves are said to be uneven.
 _UNEVEN_STEP_SHARE = 0.05
@@ -196,7 +196,7 @@ def _ordered(
             time = joined
             notes.append(
                 f"The time begins again {back.size} times; the parts were set one "
-                f"after another, {_PAUSE:g} s between them."
+                f"after another, {_PART_PAUSE:g} s between them."
             )
     steps = np.diff(time)
     # A row that was written twice is followed by a usual step, coarse stamps by a long
@@ -238,7 +238,7 @@ def _joined(
         return None
     out = np.array(time)
     for start, stop in zip(starts[1:], stops[1:], strict=True):
-        out[start:stop] += out[start - 1] + _PAUSE - time[start]
+        out[start:stop] += out[start - 1] + _PART_PAUSE - time[start]
     return out
 
 
@@ -246,7 +246,7 @@ def _interlock(time: Float[np.ndarray, " row"]) -> bool:
     """True if rows out of order fill each other's gaps: one clock, shuffled."""
     steps = np.diff(time)
     usual = float(np.median(steps[steps > 0]))
-    return bool(np.diff(np.sort(time)).min() > _APART * usual)
+    return bool(np.diff(np.sort(time)).min() > _LEAST_STEP_SHARE * usual)
 
 
 def _gaps(

@@ -17,12 +17,12 @@ from .table import Column, RecordError, Table
 _DELIMITER = re.compile(r"^ {4}-1\s*$")
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[EeDd][+-]?\d+)?")
 # Lines of a dataset 58 before its values.
-_HEAD = 11
-# By the type of the ordinate: numbers of a value, and whether it is complex.
-_ORDINATE = {2: False, 4: False, 5: True, 6: True}
-# By the type of the data [IDEAS]: what a value is measured in.
+_HEAD_LINE_COUNT = 11
+# By the type of the ordinate.
+_IS_COMPLEX = {2: False, 4: False, 5: True, 6: True}
+# Units by the type of the data [IDEAS].
 _UNITS = {8: "m", 9: "N", 11: "m/s", 12: "m/s^2", 13: "N", 17: "s", 18: "Hz"}
-_TIME = 17
+_TIME_TYPE = 17
 _AXES = {0: "", 1: "x", 2: "y", 3: "z"}
 
 
@@ -133,14 +133,17 @@ def _numbers(lines: list[str]) -> list[float]:
 
 def _function(block: list[str]) -> _Function:
     """Return the function of a dataset 58."""
-    if len(block) <= _HEAD:
-        raise ValueError(f"{_HEAD} lines and values are required")
+    if len(block) <= _HEAD_LINE_COUNT:
+        raise ValueError(f"{_HEAD_LINE_COUNT} lines and values are required")
     kind, count, is_even, start, step = _numbers(block[6:7])[:5]
-    if kind not in _ORDINATE:
+    if kind not in _IS_COMPLEX:
         raise ValueError(f"its values are of type {kind:g}; allowed are 2, 4, 5 and 6")
     abscissa, numerator, denominator = (int(block[i].split()[0]) for i in (7, 8, 9))
-    is_complex, values = _ORDINATE[int(kind)], np.array(_numbers(block[_HEAD:]))
-    count, width = int(count), 1 + _ORDINATE[int(kind)] + (not is_even)
+    is_complex, values = (
+        _IS_COMPLEX[int(kind)],
+        np.array(_numbers(block[_HEAD_LINE_COUNT:])),
+    )
+    count, width = int(count), 1 + _IS_COMPLEX[int(kind)] + (not is_even)
     if values.size != count * width or count < 1:
         raise ValueError(f"found {values.size} numbers, but {count * width} belong")
     rows = values.reshape(count, width)
@@ -156,7 +159,7 @@ def _function(block: list[str]) -> _Function:
             for end, sign, direction in zip(ends, signs, directions, strict=True)
         ),
         start + step * np.arange(count) if is_even else rows[:, 0],
-        abscissa == _TIME,
+        abscissa == _TIME_TYPE,
         rows[:, -2] + 1j * rows[:, -1] if is_complex else rows[:, -1],
         unit,
         directions[0] * directions[1] < 0,

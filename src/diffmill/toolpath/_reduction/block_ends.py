@@ -14,10 +14,10 @@ from .._timing.pieces import Segment, piece_of_move
 
 # How much an end wants the offset at its own place, beside one row on a block: it
 # decides where a block has no row.
-_OWN_PLACE = 1e-3
+_OWN_PLACE_WEIGHT = 1e-3
 # An arc whose ends are nearer than this, in radii, moves as a whole: its centre follows
 # from its ends badly.
-_NEAR_ENDS = 1.0
+_NEAR_ENDS_RADII = 1.0
 
 
 class BlockEnds(NamedTuple):
@@ -144,8 +144,8 @@ class BlockEnds(NamedTuple):
             ],
             axis=1,
         )
-        np.add.at(band[1], unknown, _OWN_PLACE)
-        np.add.at(right, unknown, _OWN_PLACE * own)
+        np.add.at(band[1], unknown, _OWN_PLACE_WEIGHT)
+        np.add.at(right, unknown, _OWN_PLACE_WEIGHT * own)
         return solveh_banded(band, right)[unknown]
 
 
@@ -189,7 +189,7 @@ def _is_near_closed(move: Move) -> bool:
     if move.centre is None:
         return False
     (a, b, c), (x, y, z) = move.spokes
-    return math.hypot(x - a, y - b, z - c) < _NEAR_ENDS * move.radii[0]
+    return math.hypot(x - a, y - b, z - c) < _NEAR_ENDS_RADII * move.radii[0]
 
 
 def _moved(

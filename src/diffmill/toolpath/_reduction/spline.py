@@ -12,14 +12,14 @@ import numpy as np
 from jaxtyping import Float, Int
 
 _FIRST_STRIDE = 8
-_SPREADS = 10
+_SPREAD_COUNT = 10
 # From the spread on which the points have settled, each is finished and the best kept.
-_SETTLED = 5
-# Between two looks the density changes by no more than these factors.
-_THINNER, _DENSER = 0.5, 2.0
+_SETTLED_SPREAD = 5
+# From spread to spread the density changes by no more than these factors.
+_LEAST_DENSITY_CHANGE, _LARGEST_DENSITY_CHANGE = 0.5, 2.0
 # So many points apart, one that is taken out changes nothing at the next.
-_APART = 8
-_BESIDE = 4
+_REMOVAL_STRIDE = 8
+_NEIGHBOUR_COUNT = 4
 
 Rows = Float[np.ndarray, "row component"]
 Knots = Int[np.ndarray, " _"]
@@ -76,9 +76,9 @@ class SplineFit:
         count = self.time.size
         knots = np.unique(np.append(np.arange(0, count - 1, _FIRST_STRIDE), count - 1))
         best = np.arange(count)
-        for spread in range(_SPREADS):
+        for spread in range(_SPREAD_COUNT):
             knots = self._spread(knots)
-            if spread >= _SETTLED:
+            if spread >= _SETTLED_SPREAD:
                 fewer = self._decimated(self._halved(knots))
                 best = fewer if fewer.size < best.size else best
         return best
@@ -97,7 +97,9 @@ class SplineFit:
     def _spread(self, knots: Knots) -> Knots:
         """Return points that are as dense as the misses ask for."""
         rows = np.diff(knots)
-        change = np.clip(self._worst(knots) ** 0.25, _THINNER, _DENSER)
+        change = np.clip(
+            self._worst(knots) ** 0.25, _LEAST_DENSITY_CHANGE, _LARGEST_DENSITY_CHANGE
+        )
         density = np.pad(change / rows, 1, mode="edge")
         density = np.minimum(np.convolve(density, [0.25, 0.5, 0.25], "valid"), 1.0)
         total = np.concatenate([[0.0], np.cumsum(density * rows)])
@@ -122,8 +124,8 @@ class SplineFit:
 
     def _decimated(self, knots: Knots) -> Knots:
         """Return points without those that the tolerance does not need."""
-        for phase in range(_APART):
-            out = np.setdiff1d(knots[1 + phase : -1 : _APART], self.fixed)
+        for phase in range(_REMOVAL_STRIDE):
+            out = np.setdiff1d(knots[1 + phase : -1 : _REMOVAL_STRIDE], self.fixed)
             while out.size:
                 trial = np.setdiff1d(knots, out)
                 bad = np.flatnonzero(self._misses(trial) > 1)
@@ -131,8 +133,8 @@ class SplineFit:
                     knots = trial
                     break
                 place = np.searchsorted(trial, out)
-                first = trial[np.maximum(place - _BESIDE, 0)]
-                last = trial[np.minimum(place + _BESIDE - 1, trial.size - 1)]
+                first = trial[np.maximum(place - _NEIGHBOUR_COUNT, 0)]
+                last = trial[np.minimum(place + _NEIGHBOUR_COUNT - 1, trial.size - 1)]
                 is_to_blame = np.searchsorted(bad, last, side="right") > (
                     np.searchsorted(bad, first)
                 )

@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 # Lines that are told apart.
-_WORST = 5
+_WORST_LINE_COUNT = 5
 
 
 class Loss(NamedTuple):
@@ -55,7 +55,7 @@ class CycleTime(NamedTuple):
             lines[line, cause] += seconds
         by_size = lambda item: -item[1]
         kept = sorted(((k, v) for k, v in lost.items() if v > 0), key=by_size)
-        worst = sorted(lines.items(), key=by_size)[:_WORST]
+        worst = sorted(lines.items(), key=by_size)[:_WORST_LINE_COUNT]
         return cls(
             total=programmed + sum(lost.values()),
             programmed=programmed,

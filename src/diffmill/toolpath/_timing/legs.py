@@ -14,7 +14,7 @@ from .smoothing import slow_ranges
 from .way_limits import WayLimit
 
 # Pieces shorter than this are numerical crumbs of a trimmed move.
-SHORTEST = 1e-12
+SHORTEST_LENGTH = 1e-12
 # Below a nanometre a rounded corner is an exact stop in all but name.
 _FINEST_TOLERANCE = 1e-9
 # Unit axes that are nearer to each other differ by rounding.
@@ -251,7 +251,7 @@ def _rounded(legs: list[Leg], tolerance: float) -> list[Leg]:
         piece = before.piece
         if head + tail > 0 and not isinstance(piece, Blend):
             piece = piece.trimmed(head, tail)
-        if piece.length > SHORTEST or before.duration is not None:
+        if piece.length > SHORTEST_LENGTH or before.duration is not None:
             out.append(before._replace(piece=piece, is_stop=is_stop))
         elif out and is_stop:
             out[-1] = out[-1]._replace(is_stop=True)
@@ -299,7 +299,7 @@ def _limited(legs: list[Leg], along: tuple[WayLimit, ...]) -> list[Leg]:
         while along[index].end < end and index + 1 < len(along):
             length = along[index].end - way - math.fsum(parts)
             index += 1
-            if length > SHORTEST:
+            if length > SHORTEST_LENGTH:
                 parts.append(length)
                 crossed.append(along[index])
             else:
@@ -308,7 +308,7 @@ def _limited(legs: list[Leg], along: tuple[WayLimit, ...]) -> list[Leg]:
         way = end
         if leg.duration is not None:
             out.append(leg)
-        elif isinstance(leg.piece, Blend) or not parts or last <= SHORTEST:
+        elif isinstance(leg.piece, Blend) or not parts or last <= SHORTEST_LENGTH:
             for limit in crossed:
                 leg = leg.within(limit)
             out.append(leg)

@@ -9,12 +9,12 @@ from jaxtyping import Bool, Float, Int
 
 from ..._types import RealScalarLike
 from .._moves import Program
-from .._path import MOST_STEPS, Path, check_steps
+from .._path import MOST_STEPS, SAME_INSTANT, Path, check_steps
 from .._turned_axes import turned_axes, turned_tool_x
 from .cycle_time import CycleTime, Loss
 from .legs import (
     JERK,
-    SHORTEST,
+    SHORTEST_LENGTH,
     Leg,
     TimingLimits,
     legs_of_program,
@@ -24,9 +24,6 @@ from .legs import (
 from .pieces import Arc, Segment, arc_positions
 from .smoothing import WayInTime, mean_way
 from .way_limits import JointCourse, WayLimit, lowest
-
-# Fraction of a tooth period by which sums of durations may miss a tooth instant.
-_SAME_INSTANT = 1e-6
 
 
 class Profile(NamedTuple):
@@ -257,7 +254,7 @@ class TimedProgram(NamedTuple):
     ) -> tuple[Int[np.ndarray, " step"], Float[np.ndarray, " step"]]:
         """Pieces on which the tool is at the tooth instants, distances within [m]."""
         legs, profile = self.legs, self.profile
-        margin = _SAME_INSTANT * tooth_period
+        margin = SAME_INSTANT * tooth_period
 
         def at(ends: Float[np.ndarray, " part"], time: np.ndarray) -> np.ndarray:
             return np.minimum(np.searchsorted(ends, time - margin), ends.size - 1)
@@ -269,7 +266,7 @@ class TimedProgram(NamedTuple):
         # Between two stops a smoothed motion takes so much longer.
         longer = self._longer(section)
         late = np.cumsum(longer)
-        count = max(1, math.ceil((stops[-1] + late[-1]) / tooth_period - _SAME_INSTANT))
+        count = max(1, math.ceil((stops[-1] + late[-1]) / tooth_period - SAME_INSTANT))
         time = tooth_period * np.arange(count + 1)
         if self.limits.smoothing == 0:
             index = at(ends, time)
@@ -282,7 +279,7 @@ class TimedProgram(NamedTuple):
         gone = mean_way(way, begun[part], stops[part], local, longer[part])
         lengths = np.cumsum(profile.length)
         before = (lengths - profile.length)[first]
-        index = np.searchsorted(lengths, before[part] + gone - SHORTEST)
+        index = np.searchsorted(lengths, before[part] + gone - SHORTEST_LENGTH)
         index = np.clip(index, first[part], np.append(first[1:], len(legs))[part] - 1)
         distance = before[part] + gone - (lengths - profile.length)[index]
         return index, np.clip(distance, 0.0, profile.length[index])

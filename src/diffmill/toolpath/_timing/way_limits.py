@@ -11,13 +11,13 @@ import numpy as np
 from jaxtyping import Float
 
 # Limits are this much below what is allowed, for what is between two rows.
-_MARGIN = 0.99
+_LIMIT_MARGIN = 0.99
 # Neighbours with limits within this factor of each other have one limit.
-_SAME = 1.1
+_SAME_LIMIT_FACTOR = 1.1
 # Rows nearer to each other than this [m] are left out: their differences are rounding.
-_NEAR = 1e-6
+_LEAST_ROW_DISTANCE = 1e-6
 # Rounding of speeds and accelerations at rows.
-_ROUNDING = 1e-9
+_ROUNDING_SHARE = 1e-9
 
 
 class WayLimit(NamedTuple):
@@ -56,7 +56,7 @@ class JointCourse(NamedTuple):
         """True if rows that are `time_step` [s] apart keep the limits."""
         rate = np.abs(np.diff(self.q, axis=0)) / time_step
         change = np.abs(np.diff(self.q, 2, axis=0)) / time_step**2
-        more = 1 + _ROUNDING
+        more = 1 + _ROUNDING_SHARE
         is_slow = (rate <= more * self.speed).all()
         return bool(is_slow and (change <= more * self.acceleration).all())
 
@@ -95,9 +95,9 @@ class JointCourse(NamedTuple):
         bend[1:] = turn
         bend[:-1] = np.maximum(bend[:-1], turn)
         with np.errstate(divide="ignore"):
-            by_speed = _MARGIN * self.speed / slope
-            by_bend = np.sqrt(_MARGIN * self.acceleration / 2 / bend)
-            by_slope = _MARGIN * self.acceleration / 2 / slope
+            by_speed = _LIMIT_MARGIN * self.speed / slope
+            by_bend = np.sqrt(_LIMIT_MARGIN * self.acceleration / 2 / bend)
+            by_slope = _LIMIT_MARGIN * self.acceleration / 2 / slope
         by_joint = np.minimum(by_speed, by_bend)
         speed = _with_neighbours(np.minimum(by_joint.min(axis=1), fastest))
         acceleration = _with_neighbours(
@@ -135,7 +135,7 @@ def _apart(way: Float[np.ndarray, " row"]) -> list[int]:
     """Return rows that are not too near to each other, from the first on."""
     rows, before = [0], float(way[0])
     for row, here in enumerate(way.tolist()):
-        if here - before >= _NEAR:
+        if here - before >= _LEAST_ROW_DISTANCE:
             rows.append(row)
             before = here
     return rows
@@ -162,7 +162,8 @@ def _merged(
     for part in range(1, len(speed) + 1):
         here = slice(first, part + 1)
         if part < len(speed) and all(
-            x[here].max() <= _SAME * x[here].min() for x in (speed, acceleration)
+            x[here].max() <= _SAME_LIMIT_FACTOR * x[here].min()
+            for x in (speed, acceleration)
         ):
             continue
         here = slice(first, part)

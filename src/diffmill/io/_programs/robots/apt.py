@@ -7,8 +7,9 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 from ....toolpath import Move, Point, Program
+from ..expressions import NUMBER
 from ..faults import SHOWN_FAULTS, Fault
-from ..geometry import point_of
+from ..geometry import MM_PER_INCH, point_of
 from ..limits import (
     LARGEST_NUMBER,
     LARGEST_SPEED_RPM,
@@ -18,7 +19,6 @@ from ..limits import (
 from ..text import split_lines
 from .reader import Reader
 
-_MM_PER_INCH = 25.4
 _QUIET = frozenset(
     "PARTNO PPRINT INSERT REMARK $$ MACHIN MULTAX INTOL OUTTOL TOLER CUTTER COOLNT "
     "SELECT STOP OPSTOP CLEARP PREFUN AUXFUN LINTOL DISPLAY "
@@ -34,11 +34,11 @@ _OF_CYCLES = frozenset(["FEDTO", "RAPTO", "RTRCTO", "AUTO", "DWELL", "REV"])
 # Some systems write them as coordinates below the point, with a minus.
 _DEPTHS = ("FEDTO", "1STPECK", "SUBPECK")
 # How far above the last depth a peck goes by rapid [m]: the program does not say.
-_CLEARANCE = 0.254e-3
-_FEED_UNITS = {"MMPM": 1.0, "IPM": _MM_PER_INCH, "PERMIN": None}
-_FEEDS_OF_TURN = {"MMPR": 1.0, "IPR": _MM_PER_INCH, "PERREV": None}
-_UNITS = {"MM": 1.0, "INCHES": _MM_PER_INCH, "INCH": _MM_PER_INCH}
-_UNIT_NAMES = {1.0: "millimetres", _MM_PER_INCH: "inches"}
+_PECK_CLEARANCE = 0.254e-3
+_FEED_UNITS = {"MMPM": 1.0, "IPM": MM_PER_INCH, "PERMIN": None}
+_FEEDS_OF_TURN = {"MMPR": 1.0, "IPR": MM_PER_INCH, "PERREV": None}
+_UNITS = {"MM": 1.0, "INCHES": MM_PER_INCH, "INCH": MM_PER_INCH}
+_UNIT_NAMES = {1.0: "millimetres", MM_PER_INCH: "inches"}
 _UNITS_OF_FEEDS = {
     unit: scale
     for unit, scale in (_FEED_UNITS | _FEEDS_OF_TURN).items()
@@ -53,7 +53,7 @@ _FRAMES = {
 # Creo writes the frame in a comment; its lines go on as statements do.
 _CREO = re.compile(r"\s*\$\$->")
 # How far the radii at the ends of a circle may differ [m].
-_SPIRAL = 5e-5
+_RADIUS_TOLERANCE = 5e-5
 
 
 class _Statement(NamedTuple):
@@ -252,9 +252,7 @@ def _set_axis(statement: _Statement, reader: _Apt) -> None:
 
 def _is_number(text: str) -> bool:
     """True if a text is a number that is not too large."""
-    if re.fullmatch(r"[+-]?(\d+\.?\d*|\.\d+)(E[+-]?\d+)?", text) is None:
-        return False
-    return abs(float(text)) <= LARGEST_NUMBER
+    return re.fullmatch(NUMBER, text) is not None and abs(float(text)) <= LARGEST_NUMBER
 
 
 def _set_feed(statement: _Statement, reader: _Apt) -> None:
@@ -353,7 +351,7 @@ def _circle(point: Point, axis: Point, line: int, reader: _Apt) -> None:
         reader.refuse(line, "CIRCLE", "there is no FEDRAT before it.")
     move = Move(start, point, centre, 1, reader.feed, line=line, normal=normal)
     first, last = move.radii
-    if min(first, last) == 0 or abs(first - last) > _SPIRAL:
+    if min(first, last) == 0 or abs(first - last) > _RADIUS_TOLERANCE:
         message = f"its radius is {first * 1e3:.6g} mm at the start, "
         reader.refuse(line, "CIRCLE", message + f"{last * 1e3:.6g} mm at the end.")
         return
@@ -419,7 +417,7 @@ def _drill(
     for depth in _peck_depths(cycle, line, reader):
         reader.line_to(at(-depth), axis, line)
         reader.line_to(at(cycle["RAPTO"]), axis, line, is_rapid=True)
-        clear = _CLEARANCE * 1e3 / reader.scale
+        clear = _PECK_CLEARANCE * 1e3 / reader.scale
         reader.line_to(at(clear - depth), axis, line, is_rapid=True)
     reader.line_to(at(-cycle["FEDTO"]), axis, line)
     if cycle.get("DWELL"):

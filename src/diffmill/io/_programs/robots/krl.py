@@ -15,7 +15,7 @@ import re
 import numpy as np
 
 from ....toolpath import Point, Program
-from ..expressions import split_arguments, value_of
+from ..expressions import NUMBER, split_arguments, value_of
 from ..faults import SHOWN_FAULTS, ProgramError
 from ..geometry import (
     ToolAxis,
@@ -30,8 +30,7 @@ from ..text import split_lines
 from .krl_frames import KrlFrames, numbered_base
 from .reader import ExternalAxes, Reader
 
-_NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
-_COMPONENT = re.compile(rf"\s*([A-Z]\d?)\s+({_NUMBER})\s*", re.IGNORECASE)
+_COMPONENT = re.compile(rf"\s*([A-Z]\d?)\s+({NUMBER})\s*", re.IGNORECASE)
 _DECLARED = re.compile(
     r"(?:GLOBAL\s+)?(?:DECL\s+)?(?:GLOBAL\s+)?(?:E6POS|POS|FRAME|E6AXIS|AXIS)?\s*"
     r"([A-Z$_]\w*(?:\[\d+\])?)\s*=\s*(\{.*\})",
@@ -69,17 +68,17 @@ _MOTION = re.compile(
 )
 # A relative motion counts along the axes of the base, or of the tool.
 _RELATIVE_TO = re.compile(r"\s*#(BASE|TOOL)\b", re.IGNORECASE)
-_ANGLE = re.compile(rf"CA\s*=?\s*({_NUMBER})", re.IGNORECASE)
+_ANGLE = re.compile(rf"CA\s*=?\s*({NUMBER})", re.IGNORECASE)
 _APPROXIMATION = re.compile(r"\s+C_(?:DIS|VEL|ORI|PTP|SPL)\b.*$", re.IGNORECASE)
 _WITH = re.compile(r"(?:^|\s)WITH\s+", re.IGNORECASE)
 _ASSIGNED = re.compile(r"\$(\w+(?:\.\w+)?)\s*=\s*(.+)", re.IGNORECASE)
 # Status and turn say which way the joints reach a place.
 _BITS = re.compile(r"\s*[ST]\s+'[BH][0-9A-F]+'\s*", re.IGNORECASE)
 _TIME = re.compile(
-    rf"TIME_BLOCK\s+(START|PART\s*=\s*({_NUMBER})|END\s*=\s*({_NUMBER}))",
+    rf"TIME_BLOCK\s+(START|PART\s*=\s*({NUMBER})|END\s*=\s*({NUMBER}))",
     re.IGNORECASE,
 )
-_WAIT = re.compile(rf"WAIT\s+SEC\s+({_NUMBER})", re.IGNORECASE)
+_WAIT = re.compile(rf"WAIT\s+SEC\s+({NUMBER})", re.IGNORECASE)
 # What cannot change tool, place or arm; whatever is not among it is refused.
 _QUIET_DATA = (
     r"ACC|APO|VEL|ADVANCE|VEL_AXIS|ACC_AXIS|VEL_EXTAX|ACC_EXTAX|BWDSTART|H_POS|LOAD"

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ....toolpath import Point, Program
-from ..expressions import split_arguments, value_of
+from ..expressions import NUMBER, split_arguments, value_of
 from ..faults import SHOWN_FAULTS
 from ..geometry import (
     ToolAxis,
@@ -31,7 +31,6 @@ from ..limits import bounded_number, fault_of_statement
 from ..text import split_lines
 from .reader import ExternalAxes, Reader
 
-_NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _DECLARED = re.compile(
     r"(?:(?:LOCAL|TASK)\s+)?(?:CONST|PERS|VAR)\s+(\w+)\s+(\w+)\s*(?:\{\s*(\d+)\s*\})?"
     r"\s*(?::=\s*(.*))?",
@@ -61,8 +60,9 @@ _QUIET = re.compile(
 )
 _WRIST = re.compile(r"SingArea\s*\\Wrist", re.IGNORECASE)
 _EXTERNAL = tuple(f"external axis {letter}" for letter in "abcdef")
-_WAIT = re.compile(rf"WaitTime\s*(?:\\InPos\s*,\s*)?({_NUMBER})", re.IGNORECASE)
-_FASTEST = 5.0
+_WAIT = re.compile(rf"WaitTime\s*(?:\\InPos\s*,\s*)?({NUMBER})", re.IGNORECASE)
+# Speed of the predefined vmax [m/s].
+_VMAX = 5.0
 # A controller wants a length of 1.
 _LEAST_QUATERNION = 1e-3
 
@@ -73,13 +73,13 @@ class _Rapid(Reader):
     def __init__(self, tool_axis: ToolAxis) -> None:
         super().__init__(tool_axis=tool_axis)
         self.targets: dict[str, list[float]] = {}
-        self.speeds: dict[str, float] = {"vmax": _FASTEST}
+        self.speeds: dict[str, float] = {"vmax": _VMAX}
         self.numbers: dict[str, float] = {}
         self.frame: str | None = None
         # The work object that motions name.
         self.work_object: str | None = None
         self.tool_data: dict[str, _Data] = {}
-        self.work_objects: dict[str, _Data] = {"wobj0": _Data(True, _NOWHERE)}
+        self.work_objects: dict[str, _Data] = {"wobj0": _Data(True, _IDENTITY_FRAME)}
         self.external_axes = ExternalAxes()
         self.procedures, self.has_returned = 0, False
         # Numbers of tools by name, in the order in which motions use them.
@@ -90,7 +90,7 @@ class _Rapid(Reader):
 
 
 # Place and quaternion of a frame that is its parent.
-_NOWHERE = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+_IDENTITY_FRAME = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 
 
 class _Data(NamedTuple):

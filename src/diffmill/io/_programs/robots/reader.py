@@ -11,7 +11,7 @@ from ..move_list import MoveList
 
 # Height of a unit axis from tip to shank that lies flat, and of one from shank to tip
 # that leans from -z by less than 45 degrees.
-_FLAT, _STEEP = 0.17, -0.7
+_FLAT_HEIGHT, _STEEP_HEIGHT = 0.17, -0.7
 # As controllers write an axis that is not there, and above.
 _UNUSED = 8.9e9
 # Two places of an axis are one [mm or deg].
@@ -65,7 +65,7 @@ class Reader:
         It is said where the cutter lies flat or points up in a cut.
         """
         cuts = [move for move in self.out.moves if not move.is_rapid]
-        if not cuts or min(move.axis[2] for move in cuts) > _FLAT:
+        if not cuts or min(move.axis[2] for move in cuts) > _FLAT_HEIGHT:
             return
         axis = self.tool_axis
         turned = [controller_matrix(m.axis, m.tool_x, axis)[2] for m in cuts]
@@ -78,7 +78,7 @@ class Reader:
             for sign in ("", "-")
         }
         best = min(highest, key=lambda name: float(highest[name]))
-        if best != self.tool_axis and highest[best] < _STEEP:
+        if best != self.tool_axis and highest[best] < _STEEP_HEIGHT:
             low = min(cuts, key=lambda move: move.axis[2])
             sentence = (
                 f"the cutter, along {self.tool_axis} of the tool, does not stand "

@@ -19,7 +19,7 @@ from ..geometry import (
 
 # Beyond this angle a controller could take the other way round a circle.
 _LARGEST_ARC = math.radians(170.0)
-_FLAT = 1e-7
+_FLATNESS = 1e-7
 
 
 def write_krl(
@@ -164,7 +164,10 @@ def _placed(program: Program, tolerance: float) -> list[Move]:
     """Return the moves, arcs that no circle statement can make in pieces."""
     out, before = [], None
     for move in program_moves(program):
-        is_flat = abs(move.rise) < _FLAT and abs(move.radii[0] - move.radii[1]) < _FLAT
+        is_flat = (
+            abs(move.rise) < _FLATNESS
+            and abs(move.radii[0] - move.radii[1]) < _FLATNESS
+        )
         if move.centre is None:
             out.append(move)
         elif not is_flat or move.duration is not None:

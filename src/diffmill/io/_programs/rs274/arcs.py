@@ -3,13 +3,15 @@
 import math
 from typing import NamedTuple
 
+from ..geometry import MM_PER_INCH
+
 Point2 = tuple[float, float]
 
 # LinuxCNC, interp_internal.hh: how far the radii at the ends of an arc may differ,
 # and how much too small a programmed radius may be, in the program's units.
 _SPIRAL_RELATIVE = 1e-3
 _SPIRAL_LIMIT_FACTOR = 100.0
-_SEMICIRCLE = 1e-12
+_SEMICIRCLE_RTOL = 1e-12
 
 
 class ArcTolerance(NamedTuple):
@@ -24,7 +26,7 @@ class ArcTolerance(NamedTuple):
     radius: float
 
 
-MM_TOLERANCE = ArcTolerance(spiral=2 * 0.01 * math.sqrt(2), radius=5e-5 * 25.4)
+MM_TOLERANCE = ArcTolerance(spiral=2 * 0.01 * math.sqrt(2), radius=5e-5 * MM_PER_INCH)
 INCH_TOLERANCE = ArcTolerance(spiral=2 * 0.001 * math.sqrt(2), radius=5e-5)
 
 
@@ -71,7 +73,7 @@ def centre_from_radius(
             f"{chord:.6g} away; allowed is {half:.6g} or more."
         )
     square = radius * radius - half * half
-    is_semicircle = half > (1 - _SEMICIRCLE) * abs(radius)
+    is_semicircle = half > (1 - _SEMICIRCLE_RTOL) * abs(radius)
     height = 0.0 if is_semicircle else math.sqrt(max(square, 0.0))
     # The centre lies to the left of the chord for the short way counter-clockwise.
     side = turn if radius > 0 else -turn

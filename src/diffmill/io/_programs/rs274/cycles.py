@@ -9,15 +9,16 @@ from collections.abc import Callable
 
 from ....toolpath import Point
 from ..faults import Fault
+from ..geometry import MM_PER_INCH
 from .blocks import Block
 from .pace import motion_text
-from .state import AXES, MM_PER_INCH, Cycle, State, find_shift
+from .state import AXES, Cycle, State, find_shift
 
 CYCLES = frozenset([730, 810, 820, 830, 850, 860, 890])
 _WITH_REST = frozenset([820, 860, 890])
 _WITH_PECK = frozenset([730, 830])
 # How far above the last depth, or how far out, a peck goes by rapid [inch].
-_CLEARANCE = 0.01
+_PECK_CLEARANCE = 0.01
 
 # Makes a move to a point; the flag tells whether it is rapid.
 Go = Callable[[list[float], bool], None]
@@ -143,7 +144,7 @@ def _plunge(state: State, cycle: Cycle, place: list[float], line: int, go: Go) -
     """Make the moves from the retract plane to the bottom of a hole."""
     depth, retract, bottom = state.plane, cycle.retract, cycle.bottom
     if state.motion in _WITH_PECK:
-        clearance = _CLEARANCE * MM_PER_INCH
+        clearance = _PECK_CLEARANCE * MM_PER_INCH
         level = retract - cycle.peck
         while level > bottom:
             go(_at(place, level, depth), False)

@@ -6,6 +6,7 @@ from collections.abc import Collection
 from typing import NamedTuple
 
 from ..faults import Fault
+from ..geometry import MM_PER_INCH
 from ..text import plain_number, split_lines
 from .words import Word, split_comments, split_words
 
@@ -14,7 +15,6 @@ _NO_MOTION = re.compile(r"[(;MmSsTtHh]|[Gg][\s0]*(?:2\s*[01]|4\s*[39])")
 _PROGRAM_NUMBER = re.compile(r"\s*[oO:]")
 _MOVES = frozenset("XYZ")
 _COOLANT = (7, 8, 9)
-_MM_PER_INCH = 25.4
 
 
 class ProgramFrame(NamedTuple):
@@ -131,7 +131,7 @@ class _FrameReader:
     def _take_length(self, keys: set[str], values: dict[str, float]) -> None:
         """Take in the length of a tool, in millimetres."""
         if keys & {"G20", "G21"}:
-            self.scale = _MM_PER_INCH if "G20" in keys else 1.0
+            self.scale = MM_PER_INCH if "G20" in keys else 1.0
         number = f" H{plain_number(values['H'])}" if "H" in values else ""
         if "G43" in keys:
             self.lengths = [f"G43{number}"]

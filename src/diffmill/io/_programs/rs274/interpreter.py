@@ -11,25 +11,17 @@ import re
 
 from ....toolpath import Move, Point, Program
 from ..faults import SHOWN_FAULTS, Fault, ProgramError
-from ..geometry import point_of
+from ..geometry import MM_PER_INCH, point_of
 from ..limits import FARTHEST, LARGEST_SPEED_RPM
 from ..setup import ProgramSetup
 from ..text import split_lines
-from .arcs import (
-    INCH_TOLERANCE,
-    MM_TOLERANCE,
-    ArcError,
-    Point2,
-    centre_from_offset,
-    centre_from_radius,
-)
+from .arcs import ArcError, Point2, centre_from_offset, centre_from_radius
 from .blocks import ALLOWED_WORDS, CANCELLED, Block, sorted_block
 from .cycles import CYCLES, run_cycle
 from .offsets import choose_system, compensate_length, offset_axes, set_data
 from .pace import Pace, find_pace, motion_text, set_feed
 from .state import (
     AXES,
-    MM_PER_INCH,
     NO_MACHINE_ZERO,
     Cycle,
     State,
@@ -574,10 +566,9 @@ def _centre(
         return None
     # In the units of the program, because the tolerances are.
     begin, last = ((at[first] / scale, at[second] / scale) for at in (start, end))
-    tolerance = INCH_TOLERANCE if scale == MM_PER_INCH else MM_TOLERANCE
     try:
         if radius is not None:
-            centre = centre_from_radius(begin, last, radius, turn, tolerance)
+            centre = centre_from_radius(begin, last, radius, turn, state.arc_tolerance)
         else:
             offset = stated[0] or 0.0, stated[1] or 0.0
             if state.is_centre_absolute:
@@ -586,7 +577,7 @@ def _centre(
                     offset[0] + shift[first] / scale - begin[0],
                     offset[1] + shift[second] / scale - begin[1],
                 )
-            centre = centre_from_offset(begin, last, offset, tolerance)
+            centre = centre_from_offset(begin, last, offset, state.arc_tolerance)
     except ArcError as error:
         message = str(error)
         if radius is None:
@@ -609,9 +600,8 @@ def _other_centre(
     offset = words[0], words[1]
     if not state.is_centre_absolute:
         offset = words[0] + zero[0], words[1] + zero[1]
-    tolerance = INCH_TOLERANCE if state.scale == MM_PER_INCH else MM_TOLERANCE
     try:
-        centre_from_offset(begin, last, offset, tolerance)
+        centre_from_offset(begin, last, offset, state.arc_tolerance)
     except ArcError:
         return ""
     letters = " and ".join(sorted(_CENTRE_WORDS[axis] for axis in (first, second)))

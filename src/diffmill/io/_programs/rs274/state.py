@@ -5,12 +5,12 @@ from dataclasses import dataclass, field
 
 from ....toolpath import Point
 from ..faults import Fault
-from ..geometry import point_of
+from ..geometry import MM_PER_INCH, point_of
 from ..move_list import MoveList
 from ..setup import ProgramSetup
+from .arcs import INCH_TOLERANCE, MM_TOLERANCE, ArcTolerance
 from .blocks import Block
 
-MM_PER_INCH = 25.4
 AXES = "XYZ"
 # Codes that go to places of the machine.
 MACHINE_CODES = ("G28", "G30", "G53")
@@ -91,6 +91,11 @@ class State:
     length: float | None = 0.0
     length_word: str = ""
     cycle: Cycle = field(default_factory=Cycle)
+
+    @property
+    def arc_tolerance(self) -> ArcTolerance:
+        """Tolerances of arcs in the units of the program."""
+        return INCH_TOLERANCE if self.scale == MM_PER_INCH else MM_TOLERANCE
 
 
 def new_state(setup: ProgramSetup) -> State:
