@@ -365,9 +365,9 @@ class Program:
             tool = next((one for one in self.tools if self.cuts(one)), self.tools[0])
         parts = [part for part in self.sections if part.tool == tool]
         if not parts:
-            found = ", ".join(f"T{one}" for one in self.tools if one is not None)
+            names = ", ".join(f"T{one}" for one in self.tools if one is not None)
             raise ValueError(
-                f"{self.name}: there is no tool {tool}; found: {found or 'no T word'}."
+                f"{self.name}: there is no tool {tool}; found: {names or 'no T word'}."
             )
         moves: list[Move] = []
         for part in parts:

@@ -23,8 +23,8 @@ class Fault(NamedTuple):
     def __str__(self) -> str:
         """Return the fault as one line of text."""
         place = f"line {self.line}: " if self.line else ""
-        found = f'found "{self.word}": ' if self.word else ""
-        return place + found + self.message
+        quoted = f'found "{self.word}": ' if self.word else ""
+        return place + quoted + self.message
 
 
 class ProgramError(ValueError):

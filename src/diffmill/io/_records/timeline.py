@@ -54,19 +54,19 @@ def timeline(
     """
     has_time = np.ones_like(is_valid) if time is None else np.isfinite(time)
     is_valid = is_valid & has_time
-    kept = np.flatnonzero(is_valid).astype(np.int32)
-    lost = is_valid.size - kept.size
+    complete = np.flatnonzero(is_valid).astype(np.int32)
+    lost = is_valid.size - complete.size
     if lost:
         notes.append(f"{lost} rows have an empty cell and were left out, as gaps.")
-    if kept.size < 2:
-        faults.append(f"found {kept.size} complete rows; needed are 2.")
+    if complete.size < 2:
+        faults.append(f"found {complete.size} complete rows; needed are 2.")
         return None
-    if time is None or np.ptp(time[kept]) == 0:
-        return _counted(time, kept, rate, faults, notes)
+    if time is None or np.ptp(time[complete]) == 0:
+        return _counted(time, complete, rate, faults, notes)
     # Rows without a force have a stamp, which the clock needs if it has few digits;
     # but forces may stand in every second row only, beside a faster channel.
-    is_slower = np.median(np.diff(kept)) > 1
-    rows = kept if is_slower else np.flatnonzero(has_time).astype(np.int32)
+    is_slower = np.median(np.diff(complete)) > 1
+    rows = complete if is_slower else np.flatnonzero(has_time).astype(np.int32)
     instants, rows = _ordered(_past_midnight(time[rows]), rows, faults, notes)
     step, resolution = _stamps(instants)
     if not step > 0:

@@ -54,12 +54,12 @@ class CycleTime(NamedTuple):
             lost[cause] += seconds
             lines[line, cause] += seconds
         by_size = lambda item: -item[1]
-        kept = sorted(((k, v) for k, v in lost.items() if v > 0), key=by_size)
+        by_limit = sorted(((k, v) for k, v in lost.items() if v > 0), key=by_size)
         worst = sorted(lines.items(), key=by_size)[:_WORST_LINE_COUNT]
         return cls(
             total=programmed + sum(lost.values()),
             programmed=programmed,
-            lost=tuple(kept),
+            lost=tuple(by_limit),
             worst=tuple(
                 Loss(*where, seconds) for where, seconds in worst if seconds > 0
             ),

@@ -344,13 +344,17 @@ def _travelled(
         column[index] for column in profile
     )
     time = np.clip(time, 0.0, duration)
-    left = duration - time
+    remaining = duration - time
     # Mean speed over a ramp, taken from the end that it touches; the middle cruises.
     up = speed_in + (peak - speed_in) * time / np.where(rise > 0, 2 * rise, 1.0)
-    down = speed_out + (peak - speed_out) * left / np.where(fall > 0, 2 * fall, 1.0)
+    down = speed_out + (peak - speed_out) * remaining / np.where(
+        fall > 0, 2 * fall, 1.0
+    )
     cruise = (speed_in + peak) / 2 * rise + peak * (time - rise)
     distance = np.where(
-        time < rise, up * time, np.where(left < fall, length - down * left, cruise)
+        time < rise,
+        up * time,
+        np.where(remaining < fall, length - down * remaining, cruise),
     )
     return np.clip(distance, 0.0, length)
 

@@ -165,14 +165,14 @@ def parse_krl(
         # Other data of inline forms hold names and are of no motion.
         if message := fault_of_statement(bare):
             reader.refuse(number, bare, message)
-        elif found := _FRAME_DATA.fullmatch(bare):
-            reader.base_and_tool.declare(found[1], found[2])
-        elif found := _LINE_DATA.fullmatch(bare):
-            reader.line_data[found[1].upper()] = found[2]
-        elif found := _DECLARED.fullmatch(bare):
-            reader.frames[found[1].upper()] = _components(found[2], number, reader)
-        elif found := _SCALAR.fullmatch(bare):
-            _set_scalar(found, number, reader)
+        elif match := _FRAME_DATA.fullmatch(bare):
+            reader.base_and_tool.declare(match[1], match[2])
+        elif match := _LINE_DATA.fullmatch(bare):
+            reader.line_data[match[1].upper()] = match[2]
+        elif match := _DECLARED.fullmatch(bare):
+            reader.frames[match[1].upper()] = _components(match[2], number, reader)
+        elif match := _SCALAR.fullmatch(bare):
+            _set_scalar(match, number, reader)
     if reader.faults:
         raise ProgramError(pathlib.PurePath(name).stem + ".dat", reader.faults)
     for number, row in enumerate(split_lines(text, name), 1):
@@ -208,7 +208,7 @@ def _bare(row: str) -> str:
 
 def _components(text: str, line: int, reader: Reader) -> dict[str, float]:
     """Return the components of {X 1,Y 2,...}, by upper-case name."""
-    found: dict[str, float] = {}
+    components: dict[str, float] = {}
     inside = text.strip()[1:-1]
     inside = inside.split(":", 1)[1] if ":" in inside else inside
     for part in inside.split(","):
@@ -222,8 +222,8 @@ def _components(text: str, line: int, reader: Reader) -> dict[str, float]:
         if math.isnan(value):
             reader.refuse(line, part, f"a number is {LARGEST_NUMBER:g} at most.")
             return {}
-        found[match[1].upper()] = value
-    return found
+        components[match[1].upper()] = value
+    return components
 
 
 def _statement(row: str, line: int, reader: _Krl) -> None:
@@ -236,35 +236,35 @@ def _statement(row: str, line: int, reader: _Krl) -> None:
             reader.refuse(line, row, "one DEF per file is read; write calls out.")
     elif word == "END":
         reader.is_ended = True
-    elif found := _VELOCITY.fullmatch(row):
-        _set_speed(found[1], row, line, reader)
-    elif (found := _ASSIGNED.fullmatch(row)) and found[1].upper() in _FRAMES:
-        _set_frame(found[1].upper(), found[2], line, reader)
-    elif found and found[1].upper() in _TURNS:
-        _set_turn(found[1].upper(), found[2], line, reader)
-    elif found := _DATA_IN_FORCE.fullmatch(row):
-        data = reader.line_data.get(found[2].strip().upper(), found[2])
+    elif match := _VELOCITY.fullmatch(row):
+        _set_speed(match[1], row, line, reader)
+    elif (match := _ASSIGNED.fullmatch(row)) and match[1].upper() in _FRAMES:
+        _set_frame(match[1].upper(), match[2], line, reader)
+    elif match and match[1].upper() in _TURNS:
+        _set_turn(match[1].upper(), match[2], line, reader)
+    elif match := _DATA_IN_FORCE.fullmatch(row):
+        data = reader.line_data.get(match[2].strip().upper(), match[2])
         if turn := _ORIENTATION.search(data):
             _set_turn("ORI_TYPE", f"#{turn[1]}", line, reader)
-    elif found := re.fullmatch(r"FDAT_ACT\s*=\s*(.+)", row, re.IGNORECASE):
-        _set_frame("FDAT_ACT", found[1], line, reader)
-    elif (found := _BAS.fullmatch(row)) and found[1].upper() in _CHOSEN_BY_BAS:
-        _basic(found[1].upper(), found[2] or "", row, line, reader)
-    elif found := _FRAME_DATA.fullmatch(row):
-        reader.base_and_tool.declare(found[1], found[2])
-    elif found := _LINE_DATA.fullmatch(row):
-        reader.line_data[found[1].upper()] = found[2]
-    elif (found := _DECLARED.fullmatch(row)) and not found[1].startswith("$"):
-        reader.frames[found[1].upper()] = _components(found[2], line, reader)
+    elif match := re.fullmatch(r"FDAT_ACT\s*=\s*(.+)", row, re.IGNORECASE):
+        _set_frame("FDAT_ACT", match[1], line, reader)
+    elif (match := _BAS.fullmatch(row)) and match[1].upper() in _CHOSEN_BY_BAS:
+        _basic(match[1].upper(), match[2] or "", row, line, reader)
+    elif match := _FRAME_DATA.fullmatch(row):
+        reader.base_and_tool.declare(match[1], match[2])
+    elif match := _LINE_DATA.fullmatch(row):
+        reader.line_data[match[1].upper()] = match[2]
+    elif (match := _DECLARED.fullmatch(row)) and not match[1].startswith("$"):
+        reader.frames[match[1].upper()] = _components(match[2], line, reader)
     elif word in ("SPLINE", "ENDSPLINE"):
         _spline(word, row, line, reader)
-    elif found := _TIME.fullmatch(row):
-        _time_block(found, line, reader)
-    elif found := _WAIT.fullmatch(row):
-        reader.out.dwell(float(found[1]), line, row)
-    elif found := _MOTION.fullmatch(row):
-        _motion(found[1].upper(), found[3], line, reader, is_relative=bool(found[2]))
-    elif (found := _SCALAR.fullmatch(row)) and _set_scalar(found, line, reader):
+    elif match := _TIME.fullmatch(row):
+        _time_block(match, line, reader)
+    elif match := _WAIT.fullmatch(row):
+        reader.out.dwell(float(match[1]), line, row)
+    elif match := _MOTION.fullmatch(row):
+        _motion(match[1].upper(), match[3], line, reader, is_relative=bool(match[2]))
+    elif (match := _SCALAR.fullmatch(row)) and _set_scalar(match, line, reader):
         pass
     elif word == "HALT":
         reader.out.note("HALT", "waits for the operator, which takes no time", line)
@@ -278,19 +278,19 @@ def _statement(row: str, line: int, reader: _Krl) -> None:
 def _set_speed(value: str, row: str, line: int, reader: _Krl) -> None:
     """Set the feed [m/s] by what $VEL is set to."""
     value = value.strip()
-    if found := _VELOCITIES.fullmatch(value):
-        value = found[1]
-    elif found := _CP_OF_DATA.fullmatch(value):
-        value = split_arguments(found[1])[0]
+    if match := _VELOCITIES.fullmatch(value):
+        value = match[1]
+    elif match := _CP_OF_DATA.fullmatch(value):
+        value = split_arguments(match[1])[0]
     reader.set_feed(value_of(value, reader.scalars, truncates=True), row, line)
 
 
 def _set_turn(name: str, value: str, line: int, reader: _Krl) -> None:
     """Set how the tool turns along a motion: $ORI_TYPE or $CIRC_TYPE."""
     value = value.strip()
-    if found := _OF_LINE_DATA.fullmatch(value):
-        stated = reader.line_data.get(found[2].upper(), "")
-        data = re.search(rf"{found[1]}_TYPE?\s+#(\w+)", stated, re.IGNORECASE)
+    if match := _OF_LINE_DATA.fullmatch(value):
+        stated = reader.line_data.get(match[2].upper(), "")
+        data = re.search(rf"{match[1]}_TYPE?\s+#(\w+)", stated, re.IGNORECASE)
         usual = "#VAR" if name == "ORI_TYPE" else "#BASE"
         value = usual if data is None else f"#{data[1]}"
     word = value.upper().removeprefix("#")
@@ -308,10 +308,10 @@ def _set_turn(name: str, value: str, line: int, reader: _Krl) -> None:
     reader.turns[name] = word
 
 
-def _set_scalar(found: re.Match[str], line: int, reader: _Krl) -> bool:
+def _set_scalar(match: re.Match[str], line: int, reader: _Krl) -> bool:
     """Keep a number, or a component of a declared position, if it is one."""
-    name, component = found[1].upper(), found[2]
-    value = value_of(found[3], reader.scalars, truncates=True)
+    name, component = match[1].upper(), match[2]
+    value = value_of(match[3], reader.scalars, truncates=True)
     if math.isnan(value):
         return False
     if component is None:
@@ -319,39 +319,39 @@ def _set_scalar(found: re.Match[str], line: int, reader: _Krl) -> bool:
     elif name in reader.frames:
         reader.frames[name] = {**reader.frames[name], component.upper(): value}
     else:
-        reader.refuse(line, found[0], "no position of this name is declared.")
+        reader.refuse(line, match[0], "no position of this name is declared.")
     return True
 
 
 def _set_frame(kind: str, value: str, line: int, reader: _Krl) -> None:
     """Choose base, tool, or both by the data of an inline form."""
-    held, value = reader.base_and_tool, value.strip()
-    data = held.named(value)
+    frames, value = reader.base_and_tool, value.strip()
+    data = frames.named(value)
     if re.match(r"EK\b", value, re.IGNORECASE):
         message = "a base on a table that turns is not supported; `work` stands still."
         reader.refuse(line, value, message)
-    elif kind == "TOOL" and held.is_undeclared(value):
+    elif kind == "TOOL" and frames.is_undeclared(value):
         reader.out.note(value[:40], "is not declared, so the tool stays as it is", line)
     elif kind == "TOOL":
         written = _components(value, line, reader) if value.startswith("{") else None
-        held.choose_tool(value, reader.frames, written)
+        frames.choose_tool(value, reader.frames, written)
     elif kind == "IPO_MODE":
         is_external = value.upper() == "#TCP" or (data is not None and data.is_external)
-        held.choose_external(is_external)
+        frames.choose_external(is_external)
     elif kind == "FDAT_ACT" and data is None:
         message = f"{value[:40]} is not declared, so tool and base stay as they are"
         reader.out.note("FDAT_ACT", message, line)
     elif kind == "FDAT_ACT" and data is not None:
-        held.choose_data(data, reader.frames, line)
+        frames.choose_data(data, reader.frames, line)
     elif data is not None and data.base is not None:
-        held.choose_base(numbered_base(data.base, reader.frames), line)
+        frames.choose_base(numbered_base(data.base, reader.frames), line)
     elif value.startswith("{"):
-        held.choose_base(_components(value, line, reader), line)
+        frames.choose_base(_components(value, line, reader), line)
     elif value.upper() == "$NULLFRAME":
-        held.choose_base(numbered_base(0, reader.frames), line)
+        frames.choose_base(numbered_base(0, reader.frames), line)
     else:
         name = "".join(value.upper().split())
-        held.choose_base(reader.frames.get(name, {name: 0.0}), line)
+        frames.choose_base(reader.frames.get(name, {name: 0.0}), line)
 
 
 def _basic(kind: str, value: str, row: str, line: int, reader: _Krl) -> None:
@@ -373,13 +373,13 @@ def _basic(kind: str, value: str, row: str, line: int, reader: _Krl) -> None:
 def _set_with(text: str, line: int, reader: _Krl) -> None:
     """Apply what stands behind WITH, which holds for one motion or one block."""
     for part in split_arguments(text):
-        found = _ASSIGNED.fullmatch(part)
-        if found and found[1].upper() in ("VEL", "VEL.CP"):
-            _set_speed(found[2], part, line, reader)
-        elif found and found[1].upper() in _FRAMES:
-            _set_frame(found[1].upper(), found[2], line, reader)
-        elif found and found[1].upper() in _TURNS:
-            _set_turn(found[1].upper(), found[2], line, reader)
+        match = _ASSIGNED.fullmatch(part)
+        if match and match[1].upper() in ("VEL", "VEL.CP"):
+            _set_speed(match[2], part, line, reader)
+        elif match and match[1].upper() in _FRAMES:
+            _set_frame(match[1].upper(), match[2], line, reader)
+        elif match and match[1].upper() in _TURNS:
+            _set_turn(match[1].upper(), match[2], line, reader)
         elif not _QUIET_WITH.fullmatch(part):
             reader.refuse(line, part, "is not supported behind WITH.")
 
@@ -389,22 +389,22 @@ def _pose(text: str, line: int, reader: _Krl) -> dict[str, float] | None:
     text = text.strip()
     if text.startswith("{"):
         return _components(text, line, reader)
-    found = reader.frames.get(text.upper())
-    if found is None and _HOME.fullmatch(text):
+    pose = reader.frames.get(text.upper())
+    if pose is None and _HOME.fullmatch(text):
         return dict.fromkeys(_JOINTS, 0.0)
-    if found is None:
+    if pose is None:
         reader.refuse(line, text, "no position of this name is declared as numbers.")
-    return found
+    return pose
 
 
 def _motion(
-    kind: str, rest: str, line: int, reader: _Krl, *, is_relative: bool = False
+    kind: str, words: str, line: int, reader: _Krl, *, is_relative: bool = False
 ) -> None:
     """Carry out a motion."""
-    along = _RELATIVE_TO.search(rest)
-    rest, *extra = _WITH.split(_RELATIVE_TO.sub("", rest), maxsplit=1)
-    rest = _APPROXIMATION.sub("", rest).strip()
-    parts = re.findall(r"\{[^{}]*\}|[^,{}]+|[{}]", rest)
+    along = _RELATIVE_TO.search(words)
+    words, *extra = _WITH.split(_RELATIVE_TO.sub("", words), maxsplit=1)
+    words = _APPROXIMATION.sub("", words).strip()
+    parts = re.findall(r"\{[^{}]*\}|[^,{}]+|[{}]", words)
     parts = [part.strip() for part in parts if part.strip()]
     if len(parts) == 1 and _IN_PLACE.fullmatch(parts[0]):
         reader.out.note(parts[0], "stays where the arm is", line)
@@ -413,27 +413,27 @@ def _motion(
     turn = _ANGLE.fullmatch(parts[-1]) if len(parts) == 3 and wanted == 2 else None
     parts = parts[:2] if turn is not None else parts
     if len(parts) != wanted:
-        reader.refuse(line, rest, f"{kind} needs {wanted} position(s).")
+        reader.refuse(line, words, f"{kind} needs {wanted} position(s).")
         return
     poses = [_pose(part, line, reader) for part in parts]
     if any(pose is None for pose in poses):
         return
-    found = [pose for pose in poses if pose is not None]
-    axes = {key: at for key, at in found[-1].items() if key in _EXTERNAL}
+    stated = [pose for pose in poses if pose is not None]
+    axes = {key: at for key, at in stated[-1].items() if key in _EXTERNAL}
     if is_relative and any(axes.values()):
-        reader.refuse(line, rest, "a relative motion of an external axis.")
+        reader.refuse(line, words, "a relative motion of an external axis.")
     reader.external |= {} if is_relative else axes
-    if _JOINTS & set(found[-1]):
+    if _JOINTS & set(stated[-1]):
         message = "goes to joint angles; the motion is taken up at the next position"
         reader.out.note(kind, message, line)
         reader.lose_place(line)
         reader.is_turned = False
         reader.values |= reader.upright
         return
-    if not reader.is_placed and not is_relative and {*"XYZ"} - set(found[-1]):
+    if not reader.is_placed and not is_relative and {*"XYZ"} - set(stated[-1]):
         if reader.out.moves:
             message = "after a motion of joints or another tool, state X, Y and Z."
-            reader.refuse(line, rest, message)
+            reader.refuse(line, words, message)
     before, chosen = reader.feed, reader.base_and_tool.chosen
     turns = dict(reader.turns)
     if extra:
@@ -442,19 +442,19 @@ def _motion(
     reader.external_axes.take(reader.external, line, reader)
     if is_relative:
         is_tool = along is not None and along[1].upper() == "TOOL"
-        found = [_moved(pose, is_tool, rest, line, reader) for pose in found]
+        stated = [_moved(pose, is_tool, words, line, reader) for pose in stated]
     is_constant = reader.turns["ORI_TYPE"] == "CONSTANT" and reader.is_placed
     if kind not in ("PTP", "SPTP") and is_constant:
         if wanted == 2 and reader.turns["CIRC_TYPE"] == "PATH":
             message = "an orientation that follows the circle is not supported."
-            reader.refuse(line, rest, message)
-        found = [
+            reader.refuse(line, words, message)
+        stated = [
             {key: value for key, value in pose.items() if key not in "ABC"}
-            for pose in found
+            for pose in stated
         ]
-    _take_orientation(found[-1], line, reader)
-    middle = _apply(found[0], dict(reader.values))
-    reader.values = _apply(found[-1], reader.values)
+    _take_orientation(stated[-1], line, reader)
+    middle = _apply(stated[0], dict(reader.values))
+    reader.values = _apply(stated[-1], reader.values)
     place = _place(reader.values, reader)
     if reader.spline is not None:
         if turn is not None:
@@ -525,13 +525,13 @@ def _orientation(a: float, b: float, c: float, tool_axis: ToolAxis) -> ToolPlace
     return tool_place((0.0, 0.0, 0.0), rotation_of_abc(a, b, c), tool_axis)
 
 
-def _time_block(found: re.Match[str], line: int, reader: _Krl) -> None:
+def _time_block(match: re.Match[str], line: int, reader: _Krl) -> None:
     """Apply TIME_BLOCK: shares of the segments, and the time of all."""
     if reader.spline is None:
-        reader.refuse(line, found[0], "TIME_BLOCK stands in a SPLINE block.")
-    elif found[2] is not None and reader.spline:
-        reader.spline[-1].share = bounded_number(found[2])
-    elif found[3] is not None and reader.spline:
+        reader.refuse(line, match[0], "TIME_BLOCK stands in a SPLINE block.")
+    elif match[2] is not None and reader.spline:
+        reader.spline[-1].share = bounded_number(match[2])
+    elif match[3] is not None and reader.spline:
         shares = [knot.share for knot in reader.spline]
         if math.isnan(shares[-1]) and len(shares) > 1:
             shares[-1] = 100.0 - sum(shares[:-1])
@@ -539,10 +539,10 @@ def _time_block(found: re.Match[str], line: int, reader: _Krl) -> None:
             shares = [100.0]
         if not all(share > 0 for share in shares):
             message = "every segment before it needs TIME_BLOCK PART above 0."
-            reader.refuse(line, found[0], message)
+            reader.refuse(line, match[0], message)
             return
         for knot, share in zip(reader.spline, shares, strict=True):
-            knot.share = bounded_number(found[3]) * share / sum(shares)
+            knot.share = bounded_number(match[3]) * share / sum(shares)
 
 
 def _spline(word: str, row: str, line: int, reader: _Krl) -> None:

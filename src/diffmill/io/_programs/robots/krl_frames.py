@@ -126,8 +126,8 @@ class KrlFrames:
             frame: Components of a tool that is written out.
         """
         name = "".join(value.upper().split())
-        if found := _NUMBERED.fullmatch(name):
-            tool = _numbered_tool(int(found[1]), frames)
+        if numbered := _NUMBERED.fullmatch(name):
+            tool = _numbered_tool(int(numbered[1]), frames)
         elif (data := self.named(value)) is not None and data.tool is not None:
             tool = _numbered_tool(data.tool, frames)
         else:

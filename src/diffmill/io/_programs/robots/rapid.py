@@ -198,32 +198,32 @@ def _statement(row: str, line: int, reader: _Rapid) -> None:
         reader.out.note("RETURN", "ends the program before these lines", line)
     elif row.upper() == "RETURN":
         reader.has_returned = True
-    elif found := _DECLARED.fullmatch(row):
-        _declare(found, line, reader)
-    elif found := _MOVE.fullmatch(row):
-        _move(found[1].lower(), found[2], line, reader)
-    elif found := _COMPONENT.fullmatch(row):
-        _set_component(found, line, reader)
-    elif (found := _ASSIGNED.fullmatch(row)) and found[1].lower() in reader.targets:
-        reader.targets[found[1].lower()] = _pose(found[2], line, reader)
-    elif found := _WAIT.fullmatch(row):
-        reader.out.dwell(float(found[1]), line, row)
-    elif found := _OVERRIDE.fullmatch(row):
-        _set_override(found[1], row, line, reader)
-    elif found := _QUIET.fullmatch(row):
+    elif match := _DECLARED.fullmatch(row):
+        _declare(match, line, reader)
+    elif match := _MOVE.fullmatch(row):
+        _move(match[1].lower(), match[2], line, reader)
+    elif match := _COMPONENT.fullmatch(row):
+        _set_component(match, line, reader)
+    elif (match := _ASSIGNED.fullmatch(row)) and match[1].lower() in reader.targets:
+        reader.targets[match[1].lower()] = _pose(match[2], line, reader)
+    elif match := _WAIT.fullmatch(row):
+        reader.out.dwell(float(match[1]), line, row)
+    elif match := _OVERRIDE.fullmatch(row):
+        _set_override(match[1], row, line, reader)
+    elif match := _QUIET.fullmatch(row):
         sentence = "changes no path"
         if _WRIST.match(row):
             sentence = "where the wrist is straight, the controller may turn the tool"
-        reader.out.note(found[1], sentence, line)
+        reader.out.note(match[1], sentence, line)
     else:
         reader.refuse(line, row, "is no plain motion and is not supported.")
 
 
-def _declare(found: re.Match[str], line: int, reader: _Rapid) -> None:
+def _declare(match: re.Match[str], line: int, reader: _Rapid) -> None:
     """Keep a constant that a motion may name."""
-    kind, name, value = found[1].lower(), found[2].lower(), found[4]
-    if kind == "robtarget" and found[3] is not None:
-        count = int(found[3])
+    kind, name, value = match[1].lower(), match[2].lower(), match[4]
+    if kind == "robtarget" and match[3] is not None:
+        count = int(match[3])
         parts = split_arguments((value or "").strip()[1:-1])
         if value is not None and len(parts) != count:
             reader.refuse(line, name, f"needed are {count} robtargets.")
@@ -249,8 +249,8 @@ def _store_data(kind: str, name: str, value: str, line: int, reader: _Rapid) -> 
     parts = value.replace("[", " ").replace("]", " ").upper().split(",")
     parts = [part.strip() for part in parts]
     first, flags = (1, 1) if kind == "tooldata" else (3, 2)
-    held, *others = parts[:flags]
-    if not {held, *others} <= {"TRUE", "FALSE"}:
+    holder, *others = parts[:flags]
+    if not {holder, *others} <= {"TRUE", "FALSE"}:
         reader.refuse(line, value, f"{kind} begins with TRUE or FALSE.")
         return
     numbers = parts[first : first + (7 if kind == "tooldata" else 14)]
@@ -259,37 +259,37 @@ def _store_data(kind: str, name: str, value: str, line: int, reader: _Rapid) -> 
     except ValueError:
         frames = ()
     is_known = len(frames) in (7, 14) and all(map(math.isfinite, frames))
-    is_usual = (held == "TRUE") == (kind == "tooldata")
+    is_usual = (holder == "TRUE") == (kind == "tooldata")
     data = _Data(is_usual, frames if is_known else None, others == ["FALSE"])
     (reader.tool_data if kind == "tooldata" else reader.work_objects)[name] = data
 
 
-def _set_component(found: re.Match[str], line: int, reader: _Rapid) -> None:
+def _set_component(match: re.Match[str], line: int, reader: _Rapid) -> None:
     """Set a coordinate of a declared target."""
-    name, value = found[1].lower(), value_of(found[3], reader.numbers)
+    name, value = match[1].lower(), value_of(match[3], reader.numbers)
     if name not in reader.targets or math.isnan(value):
-        reader.refuse(line, found[0], "needed are a declared robtarget and a number.")
+        reader.refuse(line, match[0], "needed are a declared robtarget and a number.")
         return
     target = list(reader.targets[name])
-    target["xyz".index(found[2].lower())] = value
+    target["xyz".index(match[2].lower())] = value
     reader.targets[name] = target
 
 
 def _numbers(text: str, count: int, line: int, reader: Reader) -> list[float]:
     """Return the numbers of nested lists, brackets aside."""
     parts = text.replace("[", " ").replace("]", " ").split(",")
-    found = [bounded_number(part) for part in parts]
-    if len(found) != count or any(map(math.isnan, found)):
+    numbers = [bounded_number(part) for part in parts]
+    if len(numbers) != count or any(map(math.isnan, numbers)):
         reader.refuse(line, text, f"needed are {count} numbers in brackets.")
         return [0.0] * 3 + [0.0, 0.0, 1.0, 0.0] + [0.0] * (count - 7)
-    return found
+    return numbers
 
 
 def _pose(text: str, line: int, reader: _Rapid) -> list[float]:
     """Return the numbers of a target: a name, numbers, or one that is moved."""
     text = text.split("\\ID")[0].strip()
-    if found := _OFFSET.fullmatch(text):
-        return _moved(found, line, reader)
+    if match := _OFFSET.fullmatch(text):
+        return _moved(match, line, reader)
     if text.startswith("["):
         return _numbers(text, 17, line, reader)
     values = reader.targets.get(text.replace(" ", "").lower())
@@ -300,20 +300,20 @@ def _pose(text: str, line: int, reader: _Rapid) -> list[float]:
     return values
 
 
-def _moved(found: re.Match[str], line: int, reader: _Rapid) -> list[float]:
+def _moved(match: re.Match[str], line: int, reader: _Rapid) -> list[float]:
     """Return a target moved along the axes of the work object, or of the tool."""
     from scipy.spatial.transform import Rotation
 
-    turns = [(name.lower(), value) for name, value in _TURN.findall(found[2])]
-    first, *moved = split_arguments(_TURN.sub("", found[2]))
+    turns = [(name.lower(), value) for name, value in _TURN.findall(match[2])]
+    first, *moved = split_arguments(_TURN.sub("", match[2]))
     values = list(_pose(first, line, reader))
     way = np.array([value_of(part, reader.numbers) for part in moved if part])
     angles = {name[1]: value_of(value, reader.numbers) for name, value in turns}
     if way.shape != (3,) or not np.isfinite([*way, *angles.values()]).all():
-        reader.refuse(line, found[0], "needed are a robtarget and 3 numbers.")
+        reader.refuse(line, match[0], "needed are a robtarget and 3 numbers.")
         return values
     is_turned = math.hypot(*values[3:7]) >= _LEAST_QUATERNION
-    if found[1].lower() == "offs" or not is_turned:
+    if match[1].lower() == "offs" or not is_turned:
         return [*(np.array(values[:3]) + way), *values[3:]]
     w, x, y, z = values[3:7]
     pose = Rotation.from_quat([x, y, z, w])
@@ -373,8 +373,8 @@ def _pace(text: str, line: int, reader: _Rapid) -> float | None:
         feed = 1e-3 * _numbers(name, 4, line, reader)[0]
     elif name in reader.speeds:
         feed = reader.speeds[name]
-    elif found := _SPEED.fullmatch(name):
-        feed = 1e-3 * float(found[1])
+    elif match := _SPEED.fullmatch(name):
+        feed = 1e-3 * float(match[1])
     else:
         reader.refuse(line, text, "no speeddata of this name is declared as numbers.")
         return None
@@ -404,13 +404,13 @@ def _take_tool(name: str, line: int, reader: _Rapid) -> None:
         reader.out.change_tool(number, line)
 
 
-def _move(kind: str, rest: str, line: int, reader: _Rapid) -> None:
+def _move(kind: str, words: str, line: int, reader: _Rapid) -> None:
     """Carry out a motion."""
-    arguments = split_arguments(rest)
+    arguments = split_arguments(words)
     count = 5 if kind == "movec" else 4
     if len(arguments) != count:
         reader.refuse(
-            line, rest, f"needed are {count} arguments: to, speed, zone, tool."
+            line, words, f"needed are {count} arguments: to, speed, zone, tool."
         )
         return
     if kind == "moveabsj":

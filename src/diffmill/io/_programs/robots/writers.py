@@ -71,9 +71,9 @@ def write_krl(
         elif index == 0 or goes:
             word = "PTP" if move.is_rapid else "LIN"
             lines.append(f"{word} {frame(move)}")
-        rest = move.rest or (move.duration or 0.0)
-        if rest:
-            lines.append(_krl_dwell(rest))
+        seconds = move.rest or (move.duration or 0.0)
+        if seconds:
+            lines.append(_krl_dwell(seconds))
     return "\n".join([*lines, *_time_blocks(timed, is_spline, frame), "END"]) + "\n"
 
 
@@ -121,9 +121,9 @@ def write_rapid(
         elif index == 0 or goes:
             word = "MoveJ" if move.is_rapid else "MoveL"
             lines.append(f"    {word} {end},{speed},{zone},tool0;")
-        rest = move.rest or (0.0 if goes else move.duration or 0.0)
-        if rest:
-            lines.append(f"    WaitTime {rest:.9g};")
+        seconds = move.rest or (0.0 if goes else move.duration or 0.0)
+        if seconds:
+            lines.append(f"    WaitTime {seconds:.9g};")
     return "\n".join([*lines, "  ENDPROC", "ENDMODULE"]) + "\n"
 
 
@@ -154,9 +154,9 @@ def write_apt(
             words = [_short(1e3 * value) for value in piece.end]
             words += [_short(value, 9) for value in piece.axis]
             lines.append("GOTO/" + ",".join(words))
-            rest = piece.rest or (0.0 if _goes(piece) else piece.duration or 0.0)
-            if rest:
-                lines.append(f"DELAY/{rest:.9g}")
+            seconds = piece.rest or (0.0 if _goes(piece) else piece.duration or 0.0)
+            if seconds:
+                lines.append(f"DELAY/{seconds:.9g}")
     return "\n".join([*lines, "FINI"]) + "\n"
 
 

@@ -63,12 +63,12 @@ def write_gcode(
         rpm = float(spindle_speed) * 60 / (2 * math.pi)
         lines.append(f"S{plain_number(round(rpm, 6))} {frame.spindle}")
     lines.append(f"G0 {_coordinates(points[0])}")
-    between, said = frame.between, 0
+    between, written_count = frame.between, 0
     numbers = np.asarray(path.line)[1:].tolist()
     for point, step, number in zip(points[1:], steps, numbers, strict=True):
-        while said < len(between) and between[said][0] <= number:
-            lines.append(between[said][1])
-            said += 1
+        while written_count < len(between) and between[written_count][0] <= number:
+            lines.append(between[written_count][1])
+            written_count += 1
         lines.append(f"G1 {_coordinates(point)} F{60 / step:.9f}")
     return "\n".join([*lines, *frame.closing]) + "\n"
 
@@ -125,11 +125,11 @@ def write_moves(
         rpm = round(float(speed) * 30 / math.pi, 6)
         lines.append(f"S{plain_number(rpm)} {frame.spindle}")
     plane, feed, mode = 2, None, 940
-    between, said = frame.between, 0
+    between, written_count = frame.between, 0
     for move in moves:
-        while said < len(between) and between[said][0] <= move.line:
-            lines.append(between[said][1])
-            said += 1
+        while written_count < len(between) and between[written_count][0] <= move.line:
+            lines.append(between[written_count][1])
+            written_count += 1
         normal = [round(value, 9) + 0.0 for value in move.normal]
         is_plane = sorted(map(abs, normal)) == [0.0, 0.0, 1.0]
         whole = [move] if is_plane else straight_pieces(move, float(tolerance))
@@ -154,9 +154,9 @@ def write_moves(
                 words.append(f"F{plain_number(feed * 6e4, 9)}")
             if one.length > 0 or one.duration is None:
                 lines.append(" ".join(words))
-            rest = one.rest or (0.0 if one.length > 0 else one.duration or 0.0)
-            if rest:
-                lines.append(f"G4 P{plain_number(rest, 9)}")
+            seconds = one.rest or (0.0 if one.length > 0 else one.duration or 0.0)
+            if seconds:
+                lines.append(f"G4 P{plain_number(seconds, 9)}")
     return "\n".join([*lines, *frame.closing]) + "\n"
 
 
