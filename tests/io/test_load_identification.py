@@ -19,6 +19,8 @@ axial_depth = "2 mm"
 file = "cut.txt"
 feed_per_tooth = "0.1 mm"
 """
+MEANS = HEAD.replace("force_records", "mean_forces").partition("[[record]]")[0]
+MEANS += "[means]\n"
 RATE, IDLE, CUT = 4000.0, 0.3, 1.2
 SLIDES = """name = "slides"
 [[elements]]
@@ -43,6 +45,9 @@ kind = "body"
 mass = "10 kg"
 inertia = ["1 kg*m^2", "1 kg*m^2", "1 kg*m^2"]
 """
+
+
+SECOND = '[[record]]\nfile = "two.txt"\nfeed_per_tooth = "0.2 mm"\n'
 
 
 def forces(cuts=1):
@@ -215,31 +220,32 @@ def test_saturation_is_told(tmp_path):
     assert any("end of a channel" in note for note in record.notes)
 
 
+FEED = 'feed_per_tooth = "0.1 mm"'
+AFTER = 'tare_after = ["1.6 s", "1.8 s"]'
+
+
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("old", "new", "message"),
     [
-        (('kind = "force_records"', 'kind = "forces"'), "kind: found 'forces'"),
-        (('speed = "6000 rpm"', ""), "1 speed: found nothing"),
-        (('feed_per_tooth = "0.1 mm"', ""), "feed_per_tooth: found nothing"),
-        (('"0.1 mm"', '"0.1"'), "found '0.1' without a unit"),
-        (('"0.1 mm"', '"0.1 mm"\nstart = "9 s"'), "start, stop: found 9 s"),
-        (('"0.1 mm"', '"0.1 mm"\nside = "up"'), "radial_depth: found nothing beside"),
-        (('"0.1 mm"', '"0.1 mm"\njob = "a.toml"'), "job: found beside feed_per_tooth"),
-        (('"0.1 mm"', '"0.01 mm"'), "a tool of this radius is not fully engaged"),
-        (('"cut.txt"', '"../cut.txt"'), "leads outside"),
-        (('"cut.txt"', '"none.txt"'), "no such file"),
-        (('"0.1 mm"', '"0.1 mm"\ntare = ["0 s", "1"]'), "tare"),
-        (('"0.1 mm"', '"0.1 mm"\ntare_after = ["1.6 s", "1.8 s"]'), "1 tare_after: "),
-        (
-            ('"0.1 mm"', '"0.1 mm"\ntare = "none"\ntare_after = ["1.6 s", "1.8 s"]'),
-            "1 tare_after: ",
-        ),
-        (("[cut]", "[cuts]"), "cuts: found an unknown table"),
+        ("force_records", "forces", "kind: found 'forces'"),
+        ('speed = "6000 rpm"', "", "1 speed: found nothing"),
+        (FEED, "", "feed_per_tooth: found nothing"),
+        ('"0.1 mm"', '"0.1"', "found '0.1' without a unit"),
+        (FEED, f'{FEED}\nstart = "9 s"', "start, stop: found 9 s"),
+        (FEED, f'{FEED}\nside = "up"', "radial_depth: found nothing beside"),
+        (FEED, f'{FEED}\njob = "a.toml"', "job: found beside feed_per_tooth"),
+        ("0.1 mm", "0.01 mm", "a tool of this radius is not fully engaged"),
+        ("cut.txt", "../cut.txt", "leads outside"),
+        ("cut.txt", "none.txt", "no such file"),
+        (FEED, f'{FEED}\ntare = ["0 s", "1"]', "tare"),
+        (FEED, f"{FEED}\n{AFTER}", "1 tare_after: "),
+        (FEED, f'{FEED}\ntare = "none"\n{AFTER}', "1 tare_after: "),
+        ("[cut]", "[cuts]", "cuts: found an unknown table"),
     ],
 )
-def test_faults_are_named(tmp_path, change, message):
+def test_faults_are_named(tmp_path, old, new, message):
     with pytest.raises(JobError) as error:
-        load(tmp_path, HEAD.replace(*change))
+        load(tmp_path, HEAD.replace(old, new))
     assert message in str(error.value)
 
 
@@ -257,16 +263,13 @@ def test_all_faults_come_at_once(tmp_path):
 
 def test_means_of_a_table_and_of_records_agree(tmp_path):
     (tmp_path / "two.txt").write_text(text(TIME, 1.5 * FORCE))
-    job = HEAD.replace("force_records", "mean_forces")
-    job += '[[record]]\nfile = "two.txt"\nfeed_per_tooth = "0.2 mm"\n'
+    job = HEAD.replace("force_records", "mean_forces") + SECOND
     task = load(tmp_path, job)
     np.testing.assert_allclose(task.feed_per_tooth, [1e-4, 2e-4])
     np.testing.assert_allclose(task.mean_force[1] / task.mean_force[0], 1.5, rtol=0.01)
-    (tmp_path / "means.csv").write_text(
-        "fz_mm,Fx_N,Fy_N,Fz_N\n0.2,90,-45,18\n0.1,60,-30,12\n"
-    )
-    table = job[: job.index("[[record]]")] + '[means]\nfile = "means.csv"\n'
-    other = load(tmp_path, table)
+    means = "fz_mm,Fx_N,Fy_N,Fz_N\n0.2,90,-45,18\n0.1,60,-30,12\n"
+    (tmp_path / "means.csv").write_text(means)
+    other = load(tmp_path, MEANS + 'file = "means.csv"\n')
     np.testing.assert_allclose(other.feed_per_tooth, task.feed_per_tooth)
     np.testing.assert_allclose(other.mean_force, task.mean_force, atol=1.0)
 
@@ -275,8 +278,7 @@ def test_units_of_means_are_given(tmp_path):
     (tmp_path / "means.csv").write_text(
         "feed,Fx,Fy,Fz\n0.2,.09,-.045,.018\n0.1,.06,-.03,.012\n"
     )
-    job = HEAD.replace("force_records", "mean_forces")
-    job = job[: job.index("[[record]]")] + '[means]\nfile = "means.csv"\n'
+    job = MEANS + 'file = "means.csv"\n'
     job += 'channels = { feed_per_tooth = "feed" }\n'
     task = load(tmp_path, job + 'units = { feed_per_tooth = "mm", force = "kN" }\n')
     np.testing.assert_allclose(task.feed_per_tooth, [1e-4, 2e-4])
@@ -286,9 +288,8 @@ def test_units_of_means_are_given(tmp_path):
 
 
 def test_keys_that_do_not_change_means_are_refused(tmp_path):
-    job = HEAD.replace("force_records", "mean_forces")
-    job = job[: job.index("[[record]]")] + (
-        '[means]\nfeed_per_tooth = ["0.1 mm", "0.2 mm"]\nFx = ["60 N", "90 N"]\n'
+    job = MEANS + (
+        'feed_per_tooth = ["0.1 mm", "0.2 mm"]\nFx = ["60 N", "90 N"]\n'
         'Fy = ["-30 N", "-45 N"]\nFz = ["12 N", "18 N"]\n'
     )
     assert len(load(tmp_path, job).feed_per_tooth) == 2
@@ -309,8 +310,7 @@ def test_spikes_are_left_out_of_a_mean_and_counted(tmp_path):
     force = FORCE.copy()
     force[np.linspace(2500, 4500, 10).astype(int), 0] += 5e3
     (tmp_path / "two.txt").write_text(text(TIME, 1.5 * FORCE))
-    job = HEAD.replace("force_records", "mean_forces")
-    job += '[[record]]\nfile = "two.txt"\nfeed_per_tooth = "0.2 mm"\n'
+    job = HEAD.replace("force_records", "mean_forces") + SECOND
     task = load(tmp_path, job, text(TIME, force))
     np.testing.assert_allclose(task.mean_force[0], [60, -30, 12], atol=0.6)
     assert "10 of 64 revolutions hold gross errors" in " ".join(task.records[0].notes)
@@ -321,8 +321,7 @@ def test_what_was_assumed_of_a_table_of_means_is_said(tmp_path):
     (tmp_path / "means.csv").write_text(
         "fz_mm,Fx,Fy_N,Fz_N\n0.2,90,-45,18\n0.1,60,-30,12\n0.3,80,,9\n"
     )
-    job = HEAD.replace("force_records", "mean_forces")
-    job = job[: job.index("[[record]]")] + '[means]\nfile = "means.csv"\n'
+    job = MEANS + 'file = "means.csv"\n'
     task = load(tmp_path, job)
     assert len(task.feed_per_tooth) == 2
     notes = " ".join(task.notes)

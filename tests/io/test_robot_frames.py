@@ -11,17 +11,6 @@ H = "PTP {X 0,Y 0,Z 0,A 0,B 0,C 180}"
 TARGET = "[[{},0,0],[0,1,0,0],[0,0,0,0],[{},9E9,9E9,9E9,9E9,9E9]]"
 
 
-@pytest.fixture
-def read(tmp_path):
-    def read_text(text, suffix=".src"):
-        (tmp_path / f"part{suffix}").write_text(text)
-        program = read_program(tmp_path / f"part{suffix}")
-        assert isinstance(program, Program)
-        return program
-
-    return read_text
-
-
 def krl(*rows):
     return "\n".join(["DEF part( )", "$VEL.CP=0.05", *rows, "END"])
 
@@ -34,30 +23,24 @@ def move(x, *, axis="9E9", tool="mill", work="\\WObj:=part"):
     return f"MoveL {TARGET.format(x, axis)},v50,z0,{tool}{work};\n"
 
 
-def faults(read, text, suffix=".src"):
-    with pytest.raises(ProgramError) as caught:
-        read(text, suffix)
-    return [(fault.line, fault.word) for fault in caught.value.faults]
-
-
-def test_external_axes_of_krl_stand_still_or_are_refused(read):
+def test_external_axes_of_krl_stand_still_or_are_refused(read, faults):
     at = "{{X {},Y 0,Z 0,A 0,B 0,C 180,E1 {},E2 0}}"
     rows = [f"PTP {at.format(0, 5)}", f"LIN {at.format(9, 5)}", "LIN {X 12}"]
     notes = read(krl(*rows)).notes
     assert any("external axes: stand still" in note for note in notes)
     assert not any("external" in note for note in read(krl(H, "LIN {X 9}")).notes)
     moved = [*rows, f"LIN {at.format(20, 6)}"]
-    assert faults(read, krl(*moved)) == [(6, "E1")]
+    assert faults(krl(*moved)) == [(6, "E1")]
     # A motion of joints moves them too, and a position without them leaves them there.
     home = "PTP {A1 0,A2 -90,A3 90,A4 0,A5 0,A6 0,E1 7}"
-    assert faults(read, krl(*rows, home, H)) == [(7, "E1")]
-    assert faults(read, krl(*rows, "LIN_REL {E1 3}"))[0][0] == 6
+    assert faults(krl(*rows, home, H)) == [(7, "E1")]
+    assert faults(krl(*rows, "LIN_REL {E1 3}"))[0][0] == 6
 
 
-def test_an_external_axis_is_stated_from_the_start_or_not_at_all(read):
-    assert faults(read, krl(H, "LIN {X 9}", "LIN {X 12,E1 500}")) == [(5, "E1")]
+def test_an_external_axis_is_stated_from_the_start_or_not_at_all(faults):
+    assert faults(krl(H, "LIN {X 9}", "LIN {X 12,E1 500}")) == [(5, "E1")]
     moved = rapid(move(0), move(9, axis="500"))
-    assert faults(read, moved, ".mod") == [(4, "external axis a")]
+    assert faults(moved, ".mod") == [(4, "external axis a")]
 
 
 def test_what_a_spline_is_told_ends_with_it(read):
@@ -89,18 +72,18 @@ def test_a_position_may_serve_as_a_base(read):
     assert program.work_position == pytest.approx((0.1, 0, 0.05))
 
 
-def test_a_base_on_a_table_that_turns_is_refused(read):
+def test_a_base_on_a_table_that_turns_is_refused(faults):
     table = "$BASE=EK(MACHINE_DEF[2].ROOT,MACHINE_DEF[2].MECH_TYPE,{X 0,Y 0,Z 0})"
-    assert [line for line, _ in faults(read, krl(table, H, "LIN {X 9}"))] == [3]
+    assert [line for line, _ in faults(krl(table, H, "LIN {X 9}"))] == [3]
 
 
-def test_external_axes_of_rapid_stand_still_or_are_refused(read):
+def test_external_axes_of_rapid_stand_still_or_are_refused(read, faults):
     program = read(rapid(move(0, axis="30"), move(9, axis="30")), ".mod")
     assert any("external axes: stand still" in note for note in program.notes)
     unused = read(rapid(move(0), move(9)), ".mod")
     assert not any("external" in note for note in unused.notes)
     moved = rapid(move(0, axis="30"), move(9, axis="31"))
-    assert faults(read, moved, ".mod") == [(4, "external axis a")]
+    assert faults(moved, ".mod") == [(4, "external axis a")]
 
 
 MILL = "PERS tooldata mill:=[{},[[0,10,250],[0,0,1,0]],[8,[0,0,90],[1,0,0,0],0,0,0]];\n"
@@ -108,12 +91,12 @@ WORK = 'PERS wobjdata part:=[{},{},"{}",[[1000,0,500],[1,0,0,0]],[[0,0,20],{}]];
 NO_TURN, QUARTER = "[1,0,0,0]", "[0.7071068,0,0,0.7071068]"
 
 
-def test_a_robot_that_holds_the_work_is_refused(read):
+def test_a_robot_that_holds_the_work_is_refused(read, faults):
     moves = move(0), move(9)
     data = MILL.format("FALSE") + WORK.format("FALSE", "TRUE", "", NO_TURN)
-    assert faults(read, rapid(*moves, data=data), ".mod")[0] == (5, "mill")
+    assert faults(rapid(*moves, data=data), ".mod")[0] == (5, "mill")
     data = MILL.format("TRUE") + WORK.format("TRUE", "TRUE", "", NO_TURN)
-    assert faults(read, rapid(*moves, data=data), ".mod")[0] == (5, "part")
+    assert faults(rapid(*moves, data=data), ".mod")[0] == (5, "part")
     # What a motion does not use may be as it is.
     other = rapid(*(move(x, tool="tool0", work="") for x in (0, 9)), data=data)
     assert read(other, ".mod").moves
@@ -151,9 +134,9 @@ def test_base_and_tool_of_krl_are_stated(read):
         assert f"line 5: {name}: its numbers are not in the program" in named.notes
 
 
-def test_a_base_that_comes_late_is_another_base(read):
+def test_a_base_that_comes_late_is_another_base(read, faults):
     base = "$BASE={X 100,Y 0,Z 0,A 0,B 0,C 0}"
-    assert faults(read, krl(H, "LIN {X 9}", base, "LIN {X 20}")) == [(5, "base")]
+    assert faults(krl(H, "LIN {X 9}", base, "LIN {X 20}")) == [(5, "base")]
     assert read(krl(base, H, "LIN {X 9}", base, "LIN {X 20}")).moves
 
 
@@ -179,15 +162,13 @@ def test_a_tool_of_krl_is_known_by_its_value(read):
         "SLIN {X 9} WITH $EX_AX_IGNORE='B0001'",
     ],
 )
-def test_what_may_change_tool_place_or_arm_is_refused(read, row):
-    assert [line for line, _ in faults(read, krl(H, row, "LIN {X 12}"))] == [4]
+def test_what_may_change_tool_place_or_arm_is_refused(faults, row):
+    assert [line for line, _ in faults(krl(H, row, "LIN {X 12}"))] == [4]
 
 
 @pytest.mark.parametrize("row", ["ActUnit STN1;", "EOffsSet e1;", "PDispOn p1,tool0;"])
-def test_units_and_offsets_of_rapid_are_refused(read, row):
-    assert [line for line, _ in faults(read, rapid(row, move(0), move(9)), ".mod")] == [
-        3
-    ]
+def test_units_and_offsets_of_rapid_are_refused(faults, row):
+    assert [line for line, _ in faults(rapid(row, move(0), move(9)), ".mod")] == [3]
 
 
 def test_first_lines_of_posts_are_read(read):
@@ -226,8 +207,8 @@ def test_suffixes_may_have_capitals(tmp_path, name, data):
         ((H, "LIN {X 9,Y 0,Z 0,A 1E300,B 0,C 180}"), 4),
     ],
 )
-def test_numbers_of_krl_are_bounded(read, rows, line):
-    assert [at for at, _ in faults(read, krl(*rows))] == [line]
+def test_numbers_of_krl_are_bounded(faults, rows, line):
+    assert [at for at, _ in faults(krl(*rows))] == [line]
 
 
 def test_a_feed_or_a_rest_that_no_cell_has_is_noted(read):

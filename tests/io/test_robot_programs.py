@@ -19,19 +19,6 @@ LIMITS = {"acceleration": 2.0, "rapid_feed": 0.2, "corner_tolerance": 0.0}
 MM = 1e-3
 
 
-@pytest.fixture
-def read(tmp_path):
-    def read_text(text, suffix, data=""):
-        (tmp_path / f"part{suffix}").write_text(text)
-        if data:
-            (tmp_path / "part.dat").write_text(data)
-        program = read_program(tmp_path / f"part{suffix}")
-        assert isinstance(program, Program)
-        return program
-
-    return read_text
-
-
 def ends(program):
     return [
         ("r" if m.is_rapid else "f", *(round(v / MM, 6) for v in m.end))
@@ -338,11 +325,9 @@ def test_return_ends_a_program_of_rapid(read):
         "VelSet 0, 5000",
     ],
 )
-def test_a_speed_of_rapid_that_is_no_number_is_refused(read, move):
+def test_a_speed_of_rapid_that_is_no_number_is_refused(faults, move):
     text = rapid_module(("v50",), move, ("v50",), data="CONST num a:=1;\n")
-    with pytest.raises(ProgramError) as caught:
-        read(text, ".mod")
-    assert [fault.line for fault in caught.value.faults] == [5]
+    assert [line for line, _ in faults(text, ".mod")] == [5]
 
 
 def test_axes_feeds_and_lines_of_apt(read):
@@ -630,13 +615,11 @@ def test_speeds_of_krl_are_worked_out_and_hold_where_they_are_said(read, lines, 
         "BAS(#BASE,5)\nLIN {X 10}",
     ],
 )
-def test_what_krl_leaves_open_or_changes_for_all_is_refused(read, line):
+def test_what_krl_leaves_open_or_changes_for_all_is_refused(faults, line):
     data = "DECL FDAT FP1={TOOL_NO 1,BASE_NO 1,IPO_FRAME #BASE}\n"
     data += "DECL FDAT FP2={TOOL_NO 1,BASE_NO 2,IPO_FRAME #BASE}\n"
     text = f"DEF a( )\nFDAT_ACT=FP1\n{H}\n$VEL.CP=1\n{line}\nEND"
-    with pytest.raises(ProgramError) as caught:
-        read(text, ".src", data)
-    assert len(caught.value.faults) == 1
+    assert len(faults(text, ".src", data)) == 1
 
 
 def test_home_of_krl_may_have_a_base_and_a_tool_of_its_own(read):
@@ -710,14 +693,6 @@ FINI
 """
 
 
-def ends_of(text, tmp_path, suffix=".cls"):
-    file = tmp_path / f"part{suffix}"
-    file.write_text(text)
-    program = read_program(file)
-    assert isinstance(program, Program)
-    return program, [move.end for move in program.moves]
-
-
 @pytest.mark.parametrize(
     ("statement", "scale", "note"),
     [
@@ -729,11 +704,12 @@ def ends_of(text, tmp_path, suffix=".cls"):
         ("UNITS/MM\nFEDRAT/20,MMPM", 1.0, ""),
     ],
 )
-def test_the_unit_of_apt_is_that_of_its_feeds(tmp_path, statement, scale, note):
-    program, ends = ends_of(INCHES.format(statement), tmp_path)
+def test_the_unit_of_apt_is_that_of_its_feeds(read, statement, scale, note):
+    program = read(INCHES.format(statement), ".cls")
     # The unit holds for what stands before the statement too.
-    assert ends[0] == pytest.approx((0, 0, scale * 1e-3))
-    assert ends[-1] == pytest.approx((2 * scale * 1e-3, 0, -scale * 1e-3))
+    first, *_, last = (move.end for move in program.moves)
+    assert first == pytest.approx((0, 0, scale * 1e-3))
+    assert last == pytest.approx((2 * scale * 1e-3, 0, -scale * 1e-3))
     if "20" in statement and scale > 1:
         assert program.moves[-1].feed == pytest.approx(20 * 25.4e-3 / 60)
     notes = [one for one in program.notes if "lengths" in one]
@@ -751,9 +727,9 @@ def test_the_unit_of_apt_is_that_of_its_feeds(tmp_path, statement, scale, note):
         ("UNITS/MM\nFEDRAT/20\nCYCLE/DRILL,RAPTO,1,FEDTO,2,IPM,9\nCYCLE/OFF", 7),
     ],
 )
-def test_units_of_apt_that_contradict_are_refused(tmp_path, statement, line):
+def test_units_of_apt_that_contradict_are_refused(read, statement, line):
     with pytest.raises(ProgramError) as caught:
-        ends_of(INCHES.format(statement), tmp_path)
+        read(INCHES.format(statement), ".cls")
     (fault,) = caught.value.faults
     assert fault.line == line
     assert "contradict" in fault.message
@@ -762,46 +738,33 @@ def test_units_of_apt_that_contradict_are_refused(tmp_path, statement, line):
 @pytest.mark.parametrize(
     "frame", ["CSYS/0,-1,0,5,1,0,0,0,0,0,1,0", "MSYS/5,0,0,1,0,0,0,1,0"]
 )
-def test_one_frame_for_all_motion_is_work(tmp_path, frame):
-    body = "GOTO/0,0,5\n{}\nFEDRAT/100,MMPM\nGOTO/1,2,3\n"
-    program, ends = ends_of(
-        f"UNITS/MM\n{frame}\nRAPID\n" + body.format(frame), tmp_path
-    )
-    assert ends[-1] == pytest.approx((1e-3, 2e-3, 3e-3))
+def test_one_frame_for_all_motion_is_work(read, faults, frame):
+    text = "UNITS/MM\n{}\nRAPID\nGOTO/0,0,5\n{}\nFEDRAT/100,MMPM\nGOTO/1,2,3\n"
+    program = read(text.format(frame, frame), ".cls")
+    assert program.moves[-1].end == pytest.approx((1e-3, 2e-3, 3e-3))
     assert "is the frame of all motion, which is taken to be work" in program.notes[0]
     word = frame.split("/")[0]
     plain = (
         "CSYS/1,0,0,0,0,1,0,0,0,0,1,0" if word == "CSYS" else "MSYS/0,0,0,1,0,0,0,1,0"
     )
-    for first, second in (
-        (frame, plain),
-        (plain, frame),
-        ("", frame),
-        (frame, f"{word}/A"),
-    ):
-        with pytest.raises(ProgramError) as caught:
-            ends_of(f"UNITS/MM\n{first}\nRAPID\n" + body.format(second), tmp_path)
-        assert [fault.line for fault in caught.value.faults] == [5]
+    for pair in ((frame, plain), (plain, frame), ("", frame), (frame, f"{word}/A")):
+        assert [line for line, _ in faults(text.format(*pair), ".cls")] == [5]
 
 
-def test_a_comment_of_creo_goes_on_as_a_statement_does(tmp_path):
+def test_a_comment_of_creo_goes_on_as_a_statement_does(read):
     text = "$$* Creo\n$$-> CSYS / {}, 0, 0, 0, $\n   0, 1, 0, 0, $\n   0, 0, 1, 0\n"
     text += "$$-> CUTTER / 10., $\n  2.\n$$ costs 5$\nUNITS / MM\nRAPID\n"
     text += "GOTO / 0, 0, 5\n$$-> END /\nFEDRAT / 120., MMPM\nGOTO / 1, 2, 3\nFINI\n"
-    program, ends = ends_of(text.format(1), tmp_path, ".cl")
-    assert ends[-1] == pytest.approx((1e-3, 2e-3, 3e-3))
+    program = read(text.format(1), ".cl")
+    assert program.moves[-1].end == pytest.approx((1e-3, 2e-3, 3e-3))
     assert "line 2: CSYS: changes no motion here" in program.notes
-    program, _ = ends_of(text.format(-1), tmp_path, ".cl")
-    assert "line 2: CSYS: is the frame of all motion" in program.notes[0]
+    notes = read(text.format(-1), ".cl").notes
+    assert "line 2: CSYS: is the frame of all motion" in notes[0]
 
 
-def test_from_tells_a_place_before_the_motion_of_a_tool(tmp_path):
+def test_from_tells_a_place_before_the_motion_of_a_tool(read, faults):
     start = "UNITS/MM\nLOADTL/1\nFROM/0,0,50\nFEDRAT/100,MMPM\nGOTO/0,0,5\n"
-    program, _ = ends_of(
-        start + "FROM/0,0,5\nLOADTL/2\nFROM/9,0,5\nGOTO/9,0,1", tmp_path
-    )
+    program = read(start + "FROM/0,0,5\nLOADTL/2\nFROM/9,0,5\nGOTO/9,0,1", ".cls")
     assert program.of_tool(2).moves[0].start == pytest.approx((9e-3, 0, 5e-3))
     for text, line in ((start + "FROM/0,0,9\n", 6), ("GODLTA/0,0,-5\nGOTO/1,1,1", 1)):
-        with pytest.raises(ProgramError) as caught:
-            ends_of(text, tmp_path)
-        assert caught.value.faults[0].line == line
+        assert faults(text, ".cls")[0][0] == line

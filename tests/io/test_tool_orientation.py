@@ -8,23 +8,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from diffmill.io import ProgramError, ProgramSetup, read_program, write_program
-from diffmill.toolpath import Path, Program, reduce_path, sample_program
+from diffmill.toolpath import Path, reduce_path, sample_program
 
 LIMITS = {"acceleration": 2.0, "rapid_feed": 0.2, "corner_tolerance": 0.0}
 # Direction from the shank to the tip of an upright cutter.
 DOWN = np.array([0.0, 0.0, -1.0])
-
-
-@pytest.fixture
-def read(tmp_path):
-    def read_text(text, suffix=".src", tool_axis=None):
-        (tmp_path / f"part{suffix}").write_text(text)
-        setup = ProgramSetup(tool_axis=tool_axis)
-        program = read_program(tmp_path / f"part{suffix}", setup=setup)
-        assert isinstance(program, Program)
-        return program
-
-    return read_text
 
 
 def krl(*angles):
@@ -83,7 +71,9 @@ def test_a_quaternion_of_rapid_by_hand(read):
 def test_what_is_read_and_written_keeps_every_orientation(read, suffix, tool_axis):
     given = [(0, 180, 0), (35, 90, -20), (-120, -90, 10), (170, 20, -170), (1, 91, 2)]
     program = read(krl(*given), tool_axis=tool_axis)
-    back = read(write_program(program, suffix, tool_axis=tool_axis), suffix, tool_axis)
+    back = read(
+        write_program(program, suffix, tool_axis=tool_axis), suffix, tool_axis=tool_axis
+    )
     for move, other in zip(program.moves, back.moves, strict=True):
         assert other.axis == pytest.approx(move.axis, abs=1e-7)
         assert other.tool_x == pytest.approx(move.tool_x, abs=1e-7)
