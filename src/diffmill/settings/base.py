@@ -2,6 +2,7 @@
 
 import copy
 import dataclasses
+import functools
 import operator
 from collections.abc import Callable, Iterable, Mapping
 from typing import (
@@ -109,6 +110,7 @@ class Settings:
             _take_keys_of_strategies(cls)
 
     @classmethod
+    @functools.cache
     def hints(cls) -> dict[str, object]:
         """Types of the fields, by their names."""
         return get_type_hints(cls, include_extras=True)
@@ -125,8 +127,9 @@ class Settings:
     @classmethod
     def choices(cls) -> Iterable[tuple[dataclasses.Field[object], "type[Strategy]"]]:
         """Fields that hold a strategy, each with its family."""
+        hints = cls.hints()
         for field in dataclasses.fields(cls):
-            kind = cls.hints()[field.name]
+            kind = hints[field.name]
             if isinstance(kind, type) and issubclass(kind, Strategy):
                 yield field, kind
 
@@ -161,14 +164,13 @@ class Settings:
 
     def leaf_names(self) -> tuple[str, ...]:
         """Names of the fields that are leaves; of a strategy's with a dot."""
-        hints, names = self.hints(), []
-        for field in dataclasses.fields(self):
-            value = getattr(self, field.name)
-            if _LEAF in getattr(hints[field.name], "__metadata__", ()):
-                names.append(field.name)
-            elif isinstance(value, Settings):
-                names.extend(f"{field.name}.{name}" for name in value.leaf_names())
-        return tuple(names)
+        own, strategies = _leaf_fields(type(self))
+        nested = (
+            f"{field}.{name}"
+            for field in strategies
+            for name in getattr(self, field).leaf_names()
+        )
+        return (*own, *nested)
 
     def leaves(self) -> list[object]:
         """Values of the leaves, in the order of their names."""
@@ -186,6 +188,14 @@ class Settings:
                 owner = inner
             object.__setattr__(owner, last, value)
         return changed
+
+
+@functools.cache
+def _leaf_fields(kind: type[Settings]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Fields of a class that are leaves, and those that hold a strategy."""
+    hints = kind.hints().items()
+    own = (n for n, hint in hints if _LEAF in getattr(hint, "__metadata__", ()))
+    return tuple(own), tuple(field.name for field, _ in kind.choices())
 
 
 class Strategy(Settings):
