@@ -38,6 +38,7 @@ FAMILIES = {
     "ForceLawSettings": "[force] law",
     "IntegratorSettings": "[simulation] integrator",
     "MethodSettings": "[correction] method",
+    "ModeSettings": "[simulation] mode",
     "ObjectiveSettings": "[correction] objective",
 }
 

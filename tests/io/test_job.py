@@ -71,7 +71,7 @@ def test_defaults_of_the_simulation(write):
     assert settings.axial_depth == pytest.approx(1.6e-3)
     assert settings.precision == "float64"
     assert settings.integrator.name == "midpoint"
-    assert settings.mode == "dynamic"
+    assert settings.mode.name == "dynamic"
 
 
 @pytest.mark.parametrize(

@@ -322,10 +322,10 @@ def _slowed(
 def _check_machine(tables: JobTables, problems: list[str]) -> None:
     """Faults of settings that a machine of modes does not know."""
     simulation, correction = tables.simulation, tables.correction
-    if simulation is not None and simulation.mode == "quasistatic":
+    if simulation is not None and not simulation.mode.vibrates:
         problems.append(
-            '[simulation] mode: found "quasistatic" beside [machine], but a mode has a '
-            "mass"
+            f'[simulation] mode: found "{simulation.mode.name}" beside [machine], but '
+            "a mode has a mass"
         )
     if correction is None:
         return

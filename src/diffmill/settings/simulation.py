@@ -61,6 +61,32 @@ class RungeKutta4Settings(IntegratorSettings, name="rk4"):
     """Explicit rule of fourth order, to verify the other by."""
 
 
+class ModeSettings(Strategy):
+    """Equations by which an arm moves.
+
+    Its builder takes the settings, the job and its robot, and makes the machine.
+
+    Attributes:
+        vibrates: True if the arm has a mass, so that it can vibrate.
+        needs_whole_path: True if a path is corrected as a whole, however long it is.
+    """
+
+    vibrates: ClassVar[bool] = True
+    needs_whole_path: ClassVar[bool] = True
+
+
+class DynamicSettings(ModeSettings, name="dynamic"):
+    """Equations of motion, sub-step by sub-step."""
+
+    needs_whole_path: ClassVar[bool] = False
+
+
+class QuasistaticSettings(ModeSettings, name="quasistatic"):
+    """Springs that balance the mean force of each tooth period, without inertia."""
+
+    vibrates: ClassVar[bool] = False
+
+
 class ScatterSettings(Settings, table="simulation.scatter"):
     """Relative standard deviations of the model's parameters, each on its own.
 
@@ -114,8 +140,8 @@ class SimulationSettings(Settings, table="simulation"):
         integrator: Rule of the robot's sub-steps: "midpoint", "rk4" (explicit, to
             verify the other by), or its settings.
         dynamics: Algorithm of the robot's dynamics, "crba" or "aba".
-        mode: "dynamic", or "quasistatic": springs balance the mean force of each
-            tooth period, without inertia.
+        mode: Equations of the arm: "dynamic", "quasistatic" (springs balance the mean
+            force of each tooth period, without inertia), or its settings.
         has_sensitivity: Whether the command line adds maps of the sensitivity.
         stability: How the command line looks for chatter after a run: "quick", where
             the cut is deepest, and it says nothing of a stable one; "full", along the
@@ -180,8 +206,10 @@ class SimulationSettings(Settings, table="simulation"):
         "same answer",
         default="crba",
     )
-    mode: Literal["dynamic", "quasistatic"] = key(
-        "quasistatic: the arm bends but does not swing", default="dynamic"
+    mode: ModeSettings = key(
+        "quasistatic: the arm bends but does not swing",
+        default="dynamic",
+        converter=ModeSettings.of,
     )
     has_sensitivity: StrictBool = key(
         "true: also says what 10 % more stiffness, damping, force, ... does",

@@ -5,6 +5,7 @@ import math
 
 from ...cutter import AbstractCutter
 from ...settings.correction import CorrectionSettings, ObjectiveSettings
+from ...settings.simulation import ModeSettings
 
 # What a corrected command may accelerate unless a job says otherwise, over the program.
 _FACTOR = 2.0
@@ -40,7 +41,7 @@ def check_correction(
     is_upright: bool,
     problems: list[str],
     *,
-    mode: str,
+    mode: ModeSettings,
 ) -> None:
     """Faults of settings beside the cutter, the path, the mode or other settings."""
     _check_segments(table, mode, problems)
@@ -61,14 +62,16 @@ def check_correction(
     problems.extend(f"[correction] {fault}" for fault in table.misplaced())
 
 
-def _check_segments(table: CorrectionSettings, mode: str, problems: list[str]) -> None:
+def _check_segments(
+    table: CorrectionSettings, mode: ModeSettings, problems: list[str]
+) -> None:
     """Faults of a horizon beside strategies of whole paths, or a longer overlap."""
     objective, method = table.objective, table.method
     for beside, is_whole in (
         (f'objective = "{objective.name}"', objective.needs_whole_path),
         ("an uncertainty", table.uncertainty is not None),
         (f'method = "{method.name}"', method.needs_whole_path),
-        ('[simulation] mode = "quasistatic"', mode == "quasistatic"),
+        (f'[simulation] mode = "{mode.name}"', mode.needs_whole_path),
     ):
         if table.horizon != "auto" and is_whole:
             problems.append(

@@ -42,7 +42,7 @@ def completed_simulation(
     if table is None or cutter is None or parts.speed is None:
         return None
     period = parts.tooth_period
-    fastest = parts.fastest if table.mode == "dynamic" else 0.0
+    fastest = parts.fastest if table.mode.vibrates else 0.0
     substeps = table.substeps or default_substeps(period, fastest)
     axes = _axes(path, table)
     angles = _angles(table, cutter, substeps, not axes, problems)
@@ -169,8 +169,8 @@ def _check_simulation(
             f'[simulation] chip: found "{chip.name}", which a flat cutter with even '
             f"pitch and without run-out is required for; others take {', '.join(free)}"
         )
-    if table.stability == "full" and (is_rigid or table.mode == "quasistatic"):
-        why = "rigid = true" if is_rigid else 'mode = "quasistatic"'
+    if table.stability == "full" and (is_rigid or not table.mode.vibrates):
+        why = "rigid = true" if is_rigid else f'mode = "{table.mode.name}"'
         problems.append(
             f"[simulation] stability: found true, but with {why} nothing vibrates; "
             'only false or "quick" is allowed'

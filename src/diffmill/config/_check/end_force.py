@@ -88,7 +88,7 @@ def _assumed(job: Job) -> tuple[str, ...]:
             "most cutters are ground hollow"
         )
     settings = job.simulation
-    looks = settings.stability != "none" and settings.mode == "dynamic"
+    looks = settings.stability != "none" and settings.mode.vibrates
     if looks and not job.is_rigid and _descends(job):
         notes.append(
             "[simulation] stability: chatter is judged by the edges along the side; "

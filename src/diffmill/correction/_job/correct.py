@@ -218,7 +218,7 @@ def correct(
     inverse = None
     if job.robot is not None:
         # A robot without inertia and damping is one that moves without end slowly.
-        is_slow = job.simulation.mode == "quasistatic"
+        is_slow = not job.simulation.mode.vibrates
         inverse = _inverse_drive(
             job.robot,
             JobKinematics(job).joints(desired).positions,

@@ -36,9 +36,9 @@ class SegmentRows(eqx.Module):
             UnsuitableSettings: The job asks for segments where there can be none.
         """
         settings, rows = job.correction, job.path.step_count
-        whole = settings.objective.needs_whole_path or settings.method.needs_whole_path
-        is_able = not (whole or has_own_objective) and job.simulation.mode == "dynamic"
-        is_able &= settings.uncertainty is None
+        strategies = settings.objective, settings.method, job.simulation.mode
+        is_able = not any(one.needs_whole_path for one in strategies)
+        is_able &= settings.uncertainty is None and not has_own_objective
         if settings.horizon == "auto":
             horizon = _HORIZON if rows > _WHOLE_ROWS and is_able else rows
         else:

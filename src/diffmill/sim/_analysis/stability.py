@@ -246,7 +246,7 @@ class Stability(eqx.Module):
 
         Differentiability: none, a host function.
         """
-        if job.is_rigid or job.simulation.mode != "dynamic":
+        if job.is_rigid or not job.simulation.mode.vibrates:
             return None
         rows = _deep_rows(solution)
         if rows.size == 0:
@@ -292,10 +292,10 @@ def stability(
     """
     if job.is_rigid:
         raise ValueError("Argument `job` must not have a rigid machine, but has.")
-    if job.simulation.mode != "dynamic":
+    if not job.simulation.mode.vibrates:
         raise ValueError(
             'Argument `job` must have mode "dynamic", but has '
-            f'"{job.simulation.mode}", in which nothing vibrates.'
+            f'"{job.simulation.mode.name}", in which nothing vibrates.'
         )
     job = job.with_precision()
     solution = simulate(job) if solution is None else solution

@@ -87,7 +87,7 @@ def _no_balance(job: Job | None) -> str:
     robot = None if job is None else job.robot
     if job is None or robot is None or robot.backlash is None:
         return ""
-    if job.simulation.mode != "quasistatic":
+    if job.simulation.mode.vibrates:
         return ""
     return (
         " Gears with backlash may find no balance with the cut, where the force turns "

@@ -26,7 +26,9 @@ from ...process import (
     wall_deviation,
     wall_shares,
 )
-from ...robot import Controller
+from ...robot import Controller, Robot
+from ...settings.base import builds
+from ...settings.simulation import DynamicSettings, QuasistaticSettings
 from ...toolpath import ContourStatistics, Path, contour_error
 from ...workpiece import Pose, Stock
 from .._machine._integrator.choose import make_integrator
@@ -419,15 +421,27 @@ def job_machine(job: Job) -> ElasticArm | QuasiStaticArm | ModalMachine:
     """
     settings = job.simulation
     if job.modes is not None:
-        if settings.mode == "quasistatic":
+        if not settings.mode.vibrates:
             raise ValueError('Argument `job` must have mode "dynamic" for its modes.')
         return ModalMachine(job.modes)
     if job.robot is None:
         raise ValueError("Argument `job` must have a robot, but its machine is rigid.")
-    if settings.mode == "quasistatic":
-        return QuasiStaticArm(job.robot, job.T_base_work)
-    rule = make_integrator(settings.integrator, settings.dynamics)
-    return ElasticArm(job.robot, job.T_base_work, rule)
+    machine = settings.mode.build(job, job.robot)
+    assert isinstance(machine, ElasticArm | QuasiStaticArm)
+    return machine
+
+
+@builds(DynamicSettings)
+def _elastic_arm(settings: DynamicSettings, job: Job, robot: Robot) -> ElasticArm:
+    rule = make_integrator(job.simulation.integrator, job.simulation.dynamics)
+    return ElasticArm(robot, job.T_base_work, rule)
+
+
+@builds(QuasistaticSettings)
+def _quasi_static_arm(
+    settings: QuasistaticSettings, job: Job, robot: Robot
+) -> QuasiStaticArm:
+    return QuasiStaticArm(robot, job.T_base_work)
 
 
 def rigid_cut(
