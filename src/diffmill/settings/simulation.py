@@ -18,7 +18,8 @@ class ChipSettings(Strategy):
     Attributes:
         disc_height: Height of a disc in ray spacings unless asked for [-].
         needs_plain_cutter: True if the cutter must be flat, with even pitch and without
-            run-out, and stand along +z.
+            run-out, and stand along +z; else any other cutter is engaged by its edge
+            elements, with the chips of "near_far".
         updates_within_period: True if the stock can be read more than once in a tooth
             period.
         has_bottom_edges: True if bottom edges can cut.

@@ -17,6 +17,14 @@ _IN_AIR = 1e-4
 class AbstractObjective(eqx.Module):
     """An error as a vector whose square is a mean square [m^2]."""
 
+    @property
+    def starts_from_path(self) -> bool:
+        """True if the optimiser shall bring the tip onto the path first.
+
+        For an objective that sees only what is near its end, as a surface does.
+        """
+        return False
+
     @abc.abstractmethod
     def errors(
         self, problem: Problem, motion: Motion, lag_weight: RealScalarLike

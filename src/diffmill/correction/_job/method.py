@@ -15,7 +15,6 @@ from .._method.adam import Adam
 from .._method.gauss_newton import GaussNewton
 from .._surface.finished_surface import FinishedSurface
 from .._surface.surface_limits import SurfaceBounds
-from .._surface.surface_objective import SurfaceObjective
 from .joint_limits import JointLimits
 from .objective import job_ensemble, job_spline, largest_acceleration
 from .plants import TipPlant
@@ -89,7 +88,7 @@ def for_the_path(method: Optimiser) -> GaussNewton | None:
     """
     if not isinstance(method, GaussNewton):
         return None
-    if not isinstance(method.objective, SurfaceObjective) and method.bounds is None:
+    if not method.objective.starts_from_path and method.bounds is None:
         return None
     most = min(_STEPS_FOR_THE_PATH, method.solver.max_steps)
     return dataclasses.replace(

@@ -36,6 +36,11 @@ class SurfaceObjective(AbstractObjective):
     tolerance: RealScalarLike = 0.0
     shares: Float[np.ndarray, " point"] | Float[Array, " point"] | None = None
 
+    @property
+    def starts_from_path(self) -> bool:
+        """True: far from the path no pose is over the points that count."""
+        return True
+
     def errors(
         self, problem: Problem, motion: Motion, lag_weight: RealScalarLike
     ) -> Float[Array, " error"]:
