@@ -46,18 +46,18 @@ def test_offset_and_drift_come_off_exactly():
     force = turn_force(SPEED * time) * ((time > 0.1) & (time < 0.3))[:, None]
     slope = np.array([7.0, 0.0, -30.0])
     record = record_of(time, force + LEVEL[None] + slope[None] * time[:, None])
-    straight = record.without_drift(slice(0.0, 0.09), slice(0.31, 0.4))
-    np.testing.assert_allclose(straight.force, force, atol=1e-10)
-    level = record_of(time, force + LEVEL[None]).without_offset(slice(0.0, 0.09))
-    np.testing.assert_allclose(level.force, force, atol=1e-10)
     tare = record.tare(slice(0.0, 0.09), slice(0.31, 0.4))
+    np.testing.assert_allclose(record.without(tare).force, force, atol=1e-10)
+    level = record_of(time, force + LEVEL[None])
+    flat = level.without(level.tare(slice(0.0, 0.09)))
+    np.testing.assert_allclose(flat.force, force, atol=1e-10)
     np.testing.assert_allclose(tare.offset, LEVEL + slope * tare.instant)
     np.testing.assert_allclose(tare.drift, slope, atol=1e-9)
     np.testing.assert_allclose(tare.noise, 0, atol=1e-9)
     with pytest.raises(ValueError, match="5 s to 6 s"):
-        record.without_offset(slice(5.0, 6.0))
+        record.tare(slice(5.0, 6.0))
     with pytest.raises(ValueError, match="`before` and `after`"):
-        record.without_drift(slice(0.0, 0.1), slice(0.0, 0.1))
+        record.tare(slice(0.0, 0.1), slice(0.0, 0.1))
 
 
 def test_the_noise_of_a_tare_is_that_about_its_drift():
@@ -147,7 +147,7 @@ def test_a_force_that_was_not_measured_stays_so():
     force = turn_force(SPEED * (time - 0.00313))
     force[:, 0] = 0.0
     record = record_of(time, force, is_measured=(False, True, True))
-    other = record.without_offset(slice(0.0, 0.1))
+    other = record.without(record.tare(slice(0.0, 0.1)))
     assert other.is_measured == record.is_measured and not other.force[:, 0].any()
     with pytest.raises(ValueError, match="`force`"):
         record_of(time, force, is_measured=(True, True, False))
@@ -207,7 +207,8 @@ def test_gross_errors_do_not_move_the_tare():
     wanted = force - force.mean(axis=0)[None]
     bad = force.copy()
     bad[[20, 400, 900]] = 1e4
-    found = record_of(time, bad).without_offset(slice(0.0, 1.0)).force
+    record = record_of(time, bad)
+    found = record.without(record.tare(slice(0.0, 1.0))).force
     np.testing.assert_allclose(
         np.delete(found, [20, 400, 900], 0)[0], wanted[0], atol=0.02
     )

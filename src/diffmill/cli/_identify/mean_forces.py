@@ -15,6 +15,7 @@ from .reading import (
     reading_lines,
     tare_lines,
 )
+from .registration import used_axes_lines
 from .report import (
     Report,
     all_noted,
@@ -141,13 +142,7 @@ def _axes_lines(study: MeanForceStudy, result: MeanForceStudy.Fit) -> list[str]:
     """Axes of the fit, and others that suit the means; nothing is changed."""
     used = result.used
     settings = study.settings
-    why = "as given or recorded"
-    if settings.takes_proposed:
-        why = "the likeliest, as asked for"
-    lines = [
-        f"axes: {axes_text(used.axes)} ({why})",
-        f"  {force_on_text(used.axes, settings.force_on)}",
-    ]
+    lines = used_axes_lines(used.axes, settings)
     lines += [f"  against them: {violation}" for violation in used.violations]
     best = result.axes[0]
     if not result.has_likely_axes:

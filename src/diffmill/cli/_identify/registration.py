@@ -9,6 +9,7 @@ import numpy as np
 from ...identification import (
     ForceRecord,
     ForceRecordStudy,
+    ForceSettings,
     RecordRegistration,
 )
 from .diagnoses import diagnosis_lines
@@ -98,6 +99,17 @@ def record_lines(
     return lines
 
 
+def used_axes_lines(axes: Sequence[str], settings: ForceSettings) -> list[str]:
+    """Axes of a fit and the body on which the recorded forces act, line by line."""
+    why = "as given or recorded"
+    if settings.takes_proposed:
+        why = "the likeliest, as asked for"
+    return [
+        f"axes: {axes_text(axes)} ({why})",
+        f"  {force_on_text(axes, settings.force_on)}",
+    ]
+
+
 def axes_lines(study: ForceRecordStudy, result: ForceRecordStudy.Fit) -> list[str]:
     """Axes of the fit, and others that suit the records; nothing is changed.
 
@@ -105,16 +117,11 @@ def axes_lines(study: ForceRecordStudy, result: ForceRecordStudy.Fit) -> list[st
         study: The records, and what the file says of their axes.
         result: The fit.
     """
-    records, takes_proposed = study.records, study.settings.takes_proposed
     force_on = study.settings.force_on
     proposal, axes = result.proposal, result.fit.axes
     best = proposal.proposals[0]
-    used = next(c for c in proposal.candidates if c.axes == axes)
-    why = "the likeliest, as asked for" if takes_proposed else "as given or recorded"
-    lines = [
-        f"axes: {axes_text(axes)} ({why})",
-        f"  {force_on_text(axes, force_on)}",
-    ]
+    used = proposal.candidate(axes)
+    lines = used_axes_lines(axes, study.settings)
     if not result.has_likely_axes:
         lines += noted(
             f"The axes {axes_text(best.axes)} make more sense: score "
@@ -130,7 +137,7 @@ def axes_lines(study: ForceRecordStudy, result: ForceRecordStudy.Fit) -> list[st
     own = [place.proposal.proposals[0].axes for place in result.registrations]
     # No record tells the sign of z.
     ((usual, count),) = Counter(one[:2] for one in own).most_common(1)
-    for record, one in zip(records, own, strict=True):
+    for record, one in zip(study.records, own, strict=True):
         if count > 1 and one[:2] != usual:
             lines += noted(
                 f"{record.name} does not agree with the others: alone it suits the "

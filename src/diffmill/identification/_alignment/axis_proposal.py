@@ -105,6 +105,10 @@ class AxesProposal:
     is_clear: bool
     evidence: tuple[str, ...]
 
+    def candidate(self, axes: Sequence[str]) -> AxesCandidate:
+        """The candidate with some axes."""
+        return next(one for one in self.candidates if one.axes == tuple(axes))
+
     def for_right_handed_axes(self) -> "AxesProposal":
         """Proposal where the record is known to be the force on the tool.
 

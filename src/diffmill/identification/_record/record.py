@@ -206,29 +206,6 @@ class Record(eqx.Module):
         """Record less its offset and drift."""
         return dataclasses.replace(self, force=self.force - tare.force(self.time))
 
-    def without_offset(self, section: slice) -> "Record":
-        """Record less the mean force of a section without cut.
-
-        Args:
-            section: The section [s], as `tare` takes it.
-
-        Raises:
-            ValueError: If fewer than 2 samples lie in the section.
-        """
-        return self.without(self.tare(section))
-
-    def without_drift(self, before: slice, after: slice) -> "Record":
-        """Record less the line through two sections without cut.
-
-        Args:
-            before: The tare section before the cut [s], as `tare` takes it.
-            after: The one after it [s].
-
-        Raises:
-            ValueError: If fewer than 2 samples lie in a section or both are the same.
-        """
-        return self.without(self.tare(before, after))
-
     def mean_over_turns(
         self, start: float, stop: float, spindle_speed: float | None
     ) -> "TurnsMean":

@@ -104,8 +104,8 @@ class ForceRecordStudy:
             )
         except ValueError as error:
             raise StudyError(f"{self.name}: {error}") from error
-        used = next(c for c in proposal.candidates if c.axes == axes)
-        is_likely = used.score - proposal.proposals[0].score <= _SCORE_MARGIN
+        margin = proposal.candidate(axes).score - proposal.proposals[0].score
+        is_likely = margin <= _SCORE_MARGIN
         diagnoses = diagnoses_of(registrations)
         # In wrong axes an offset explains the means, though no channel is wrong.
         diagnoses += fit.diagnoses if is_likely else ()
