@@ -43,6 +43,13 @@ def measured(matrix, force, noise=0.05):
 
 
 TIME = np.arange(2000) / RATE
+COLUMNS = columns_of(TIME)
+FORCE = COLUMNS @ TRUTH
+
+
+def proposed(matrix, force=FORCE, **how):
+    """Return the proposal for a dynamometer mounted by `matrix`."""
+    return propose_axes(measured(matrix, force), COLUMNS, RATE, **how)
 
 
 # The 48 ways to exchange and reverse axes.
@@ -80,18 +87,12 @@ def test_every_mounting_is_recovered(entry, leave, max_shift):
 
 
 def test_the_evidence_of_the_right_axes():
-    force = columns_of(TIME) @ TRUTH
-    proposal = propose_axes(
-        measured(np.diag([1.0, -1.0, 1.0]), force),
-        columns_of(TIME),
-        RATE,
-        tooth_frequency=200.0,
-    )
+    proposal = proposed(np.diag([1.0, -1.0, 1.0]), tooth_frequency=200.0)
     best = proposal.proposals[0]
     assert best.label == "x = +Fx, y = -Fy, z = +Fz"
     np.testing.assert_allclose(best.coefficients[:2], TRUTH[:2], rtol=0.05)
     np.testing.assert_allclose(best.phase_error, 0.0, atol=0.05)
-    np.testing.assert_allclose(best.mean_fitted, force.mean(axis=0), rtol=0.05)
+    np.testing.assert_allclose(best.mean_fitted, FORCE.mean(axis=0), rtol=0.05)
     assert any("left-handed" in line for line in proposal.evidence)
     assert any("tooth-passing" in line for line in proposal.evidence)
     # Exchanged axes swap tangential and radial: they must not look as good.
@@ -101,11 +102,10 @@ def test_the_evidence_of_the_right_axes():
 
 @pytest.mark.parametrize("channel", range(3))
 def test_two_channels_tell_the_axes_that_they_see(channel):
-    force = columns_of(TIME) @ TRUTH
     for matrix in MOUNTINGS:
-        seen = measured(matrix, force)
+        seen = measured(matrix, FORCE)
         seen[:, channel] = np.nan
-        proposal = propose_axes(seen, columns_of(TIME), RATE, tooth_frequency=200.0)
+        proposal = propose_axes(seen, COLUMNS, RATE, tooth_frequency=200.0)
         best = proposal.proposals[0]
         axis = int(np.argmax(np.abs(matrix[:, channel])))
         if axis == 2:
@@ -121,11 +121,8 @@ def test_two_channels_tell_the_axes_that_they_see(channel):
 
 
 def test_all_signs_reversed_fit_as_well_but_make_no_sense():
-    force = columns_of(TIME) @ TRUTH
-    proposal = propose_axes(measured(np.eye(3), force), columns_of(TIME), RATE)
-    (reversed_,) = [
-        c for c in proposal.candidates if np.array_equal(c.matrix, -np.eye(3))
-    ]
+    proposal = proposed(np.eye(3))
+    reversed_ = proposal.candidate(("-x", "-y", "-z"))
     best = proposal.candidates[0]
     assert reversed_.residual == pytest.approx(best.residual, abs=1e-9)
     assert "the tangential force is negative" in reversed_.violations
@@ -135,11 +132,9 @@ def test_all_signs_reversed_fit_as_well_but_make_no_sense():
 @pytest.mark.parametrize("hand", [1, -1])
 def test_of_a_helix_the_hand_decides_the_sign_of_z_where_nothing_else_can(hand):
     # A right-hand helix pulls toward the work.
-    force = columns_of(TIME) @ (TRUTH * [1, 1, -hand, 1, 1, -hand])
+    force = COLUMNS @ (TRUTH * [1, 1, -hand, 1, 1, -hand])
     for turn in (np.eye(3), np.diag([1.0, -1.0, 1.0]), np.diag([-1.0, -1.0, -1.0])):
-        proposal = propose_axes(
-            measured(turn, force), columns_of(TIME), RATE, helix_angle=0.5 * hand
-        )
+        proposal = proposed(turn, force, helix_angle=0.5 * hand)
         best = proposal.proposals[0]
         # The last one is a dynamometer below the part, the force on the workpiece.
         np.testing.assert_array_equal(best.matrix, turn)
@@ -156,29 +151,24 @@ def test_of_a_helix_the_hand_decides_the_sign_of_z_where_nothing_else_can(hand):
 
 def test_noise_alone_is_not_clear():
     noise = np.random.default_rng(5).normal(size=(2000, 3))
-    proposal = propose_axes(noise, columns_of(TIME), RATE, max_shift=0.005)
+    proposal = propose_axes(noise, COLUMNS, RATE, max_shift=0.005)
     assert proposal.proposals[0].residual > 0.9
     assert not proposal.is_clear
 
 
 def test_wrong_input_is_refused():
-    columns = columns_of(TIME)
     with pytest.raises(ValueError, match="`columns`"):
-        propose_axes(np.ones((5, 3)), columns, RATE)
+        propose_axes(np.ones((5, 3)), COLUMNS, RATE)
     with pytest.raises(ValueError):
-        propose_axes(np.zeros((2000, 3)), columns, RATE)
+        propose_axes(np.zeros((2000, 3)), COLUMNS, RATE)
     with pytest.raises(ValueError, match="4000"):
-        propose_axes(np.ones((2000, 3)), columns, RATE, max_shift=0.1)
+        propose_axes(np.ones((2000, 3)), COLUMNS, RATE, max_shift=0.1)
 
 
 def test_where_the_force_is_known_to_be_that_on_the_tool_the_axes_are_right_handed():
     """The recorded z then follows from x and y, whatever the helix says of it."""
     # A right-hand helix whose axial force has the wrong sign.
-    force = columns_of(TIME) @ TRUTH
-    half_turn = np.diag([-1.0, -1.0, 1.0])
-    alone = propose_axes(
-        measured(half_turn, force), columns_of(TIME), RATE, helix_angle=0.5
-    )
+    alone = proposed(np.diag([-1.0, -1.0, 1.0]), helix_angle=0.5)
     assert alone.proposals[0].axes == ("-x", "-y", "-z")
     known = alone.for_right_handed_axes()
     assert known.proposals[0].axes == ("-x", "-y", "z")

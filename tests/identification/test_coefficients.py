@@ -17,6 +17,7 @@ from diffmill import (
     workpiece as wp,
 )
 from diffmill.cutting import LinearEdgeLaw
+from diffmill.identification import fit_force_coefficients
 
 NAMES = LinearEdgeLaw.NAMES
 STEPS = 45
@@ -57,6 +58,11 @@ def errors(fit):
     return np.array([fit.standard_errors[name] for name in NAMES])
 
 
+def fitted(time, force):
+    """Return the fit of the second cut, on its clock."""
+    return fit_force_coefficients(cuts()[1], time, force, time_shift=0.0)
+
+
 def both(**how):
     pairs = [record(feed, i, **how) for i, feed in enumerate(FEEDS)]
     return list(cuts()), [t for t, _ in pairs], [f for _, f in pairs]
@@ -64,7 +70,7 @@ def both(**how):
 
 def test_records_of_an_independent_program_give_the_coefficients():
     cut, time, seen = both(noise=0.0)
-    fit = identification.fit_force_coefficients(cut, time, seen, time_shift=0.0)
+    fit = fit_force_coefficients(cut, time, seen, time_shift=0.0)
     np.testing.assert_allclose(found(fit), K, rtol=1.5e-2)
     assert fit.explained > 0.9995 and all(fit.identifiable.values())
     # Nothing to advise: only what material it may be.
@@ -79,9 +85,7 @@ def test_noise_a_time_shift_and_turned_axes():
     cut, time, seen = both(shift=shift)
     # The dynamometer's y is the work's -x, its x the work's y.
     turned = [np.column_stack([f[:, 1], -f[:, 0], f[:, 2]]) for f in seen]
-    fit = identification.fit_force_coefficients(
-        cut, time, turned, axes=("-y", "x", "z")
-    )
+    fit = fit_force_coefficients(cut, time, turned, axes=("-y", "x", "z"))
     assert fit.axes == ("-y", "x", "z")
     np.testing.assert_allclose(fit.time_shift, shift, atol=1e-5)
     assert (np.abs(found(fit) - K) < 4 * errors(fit) + 0.01 * K).all()
@@ -106,7 +110,7 @@ def test_a_job_in_float32_gives_the_coefficients():
     )
     time, seen = record(FEEDS[1], shift=4e-4)
     for refine in ((), ("runout",)):
-        fit = identification.fit_force_coefficients(job, time, seen, refine=refine)
+        fit = fit_force_coefficients(job, time, seen, refine=refine)
         assert fit.records[0].cut.stock.origin.dtype == np.float32
         assert (np.abs(found(fit) - K) < 4 * errors(fit) + 0.015 * K).all()
         np.testing.assert_allclose(fit.time_shift, 4e-4, atol=1e-5)
@@ -115,14 +119,12 @@ def test_a_job_in_float32_gives_the_coefficients():
 
 def test_gross_errors_change_little_under_a_robust_loss():
     cut, time, seen = both()
-    clean = identification.fit_force_coefficients(cut, time, seen, time_shift=0.0)
+    clean = fit_force_coefficients(cut, time, seen, time_shift=0.0)
     draw = np.random.default_rng(5)
     for f in seen:
         f[draw.choice(len(f), len(f) // 20, replace=False)] = 2000.0
     fits = {
-        loss: identification.fit_force_coefficients(
-            cut, time, seen, time_shift=0.0, loss=loss
-        )
+        loss: fit_force_coefficients(cut, time, seen, time_shift=0.0, loss=loss)
         for loss in ("squares", "tukey")
     }
     off = {n: np.abs(fit.raw / clean.raw - 1).max() for n, fit in fits.items()}
@@ -134,12 +136,7 @@ def test_robust_weights_are_the_same_in_any_unit():
     time, force = record(FEEDS[1])
     force[::20] += 500.0
     force[:, 2] = np.nan
-    in_newton, in_giganewton = (
-        identification.fit_force_coefficients(
-            cuts()[1], time, unit * force, time_shift=0.0
-        )
-        for unit in (1.0, 1e-9)
-    )
+    in_newton, in_giganewton = (fitted(time, unit * force) for unit in (1.0, 1e-9))
     wanted = 1e-9 * found(in_newton)
     np.testing.assert_allclose(found(in_giganewton), wanted, rtol=1e-3)
     assert np.isfinite(wanted).sum() == 4
@@ -154,7 +151,7 @@ def test_both_sides_pass_the_low_pass():
         f += 150 * np.sin(2 * math.pi * 2300 * t)[:, None]
     seen[0][200:203] = np.nan
     fits = [
-        identification.fit_force_coefficients(cut, time, f, loss="squares", lowpass=c)
+        fit_force_coefficients(cut, time, f, loss="squares", lowpass=c)
         for f, c in ((seen, None), (seen, 700.0), (clean, 700.0))
     ]
     off = [np.abs(found(fit) - K) for fit in fits]
@@ -165,7 +162,7 @@ def test_both_sides_pass_the_low_pass():
     np.testing.assert_allclose(fits[1].time_shift, 4e-4, atol=1e-5)
     assert "less than 80%" in fits[0].doubts[0] and not fits[1].doubts
     with pytest.raises(ValueError, match=r"`lowpass`.* 5000 Hz"):
-        identification.fit_force_coefficients(cut, time, seen, lowpass=5e3)
+        fit_force_coefficients(cut, time, seen, lowpass=5e3)
 
 
 def test_saturated_samples_and_gross_errors_are_told():
@@ -174,7 +171,7 @@ def test_saturated_samples_and_gross_errors_are_told():
     for f in seen:
         f[:, 1] = np.minimum(f[:, 1], 100.0)
         f[[30, 200], 2] = 900.0
-    fits = identification.fit_force_coefficients(cut, time, seen, time_shift=0.0)
+    fits = fit_force_coefficients(cut, time, seen, time_shift=0.0)
     assert (np.abs(found(fits) - K) < 4 * errors(fits) + 0.01 * K).all()
     told = " ".join(fits.notes)
     assert "at the end of a channel's range were left out" in told
@@ -207,14 +204,14 @@ def test_a_tacho_is_the_clock_of_an_uneven_spindle(is_known):
     beside = identification.RecordRegistration.on_straight_cut(
         sizes, time, force, angle=seen
     )
-    fit = identification.fit_force_coefficients(
+    fit = fit_force_coefficients(
         beside.cut, beside.time, beside.force, time_shift=0.0 if is_known else None
     )
     # A degree of the tacho's phase is some percent of the radial coefficients.
     np.testing.assert_allclose(found(fit), K, rtol=0.06 if is_known else 0.03)
     assert fit.explained > 0.995
     # The speed alone does not follow the spindle.
-    blind = identification.fit_force_coefficients(
+    blind = fit_force_coefficients(
         beside.cut, time - time[0] + beside.time[0], force, time_shift=fit.time_shift[0]
     )
     assert blind.explained < 0.98
@@ -247,7 +244,7 @@ def test_a_straight_cut_is_simulated_as_finely_as_its_coefficients_ask():
     cutter = ct.flat_end_mill(2 * R, 2)
     sizes = [identification.StraightCut(cutter, SPEED, f, DEPTH) for f in FEEDS]
     time = np.arange(14 * PERIOD, 40 * PERIOD, 0.9e-4)
-    fit = identification.fit_force_coefficients(
+    fit = fit_force_coefficients(
         [one.cut(largest_feed=max(FEEDS)) for one in sizes],
         [time, time],
         [trochoid_force(time, feed) for feed in FEEDS],
@@ -259,7 +256,7 @@ def test_what_is_not_measured_is_not_identifiable():
     cut, time, seen = both()
     for f in seen:
         f[:, 2] = np.nan
-    fit = identification.fit_force_coefficients(cut, time, seen, time_shift=0.0)
+    fit = fit_force_coefficients(cut, time, seen, time_shift=0.0)
     lost = {name for name in NAMES if not fit.identifiable[name]}
     assert lost == {"K_ac", "K_ae"}
     assert math.isnan(fit.coefficients["K_ac"])
@@ -278,16 +275,14 @@ def test_saturation_shows_where_a_force_was_not_measured():
     time, force = record(FEEDS[1])
     force[:, 0] = np.minimum(force[:, 0], 100.0)
     force[:, 2] = np.nan
-    fit = identification.fit_force_coefficients(cuts()[1], time, force, time_shift=0.0)
+    fit = fitted(time, force)
     assert "at the end of a channel's range were left out" in " ".join(fit.notes)
 
 
 def test_a_channel_that_is_dead_in_one_of_two_records_is_told():
     cut, time, seen = both()
     seen[1][:, 1] = 0.0
-    fit = identification.fit_force_coefficients(
-        cut, time, seen, time_shift=0.0, axes=("y", "x", "z")
-    )
+    fit = fit_force_coefficients(cut, time, seen, time_shift=0.0, axes=("y", "x", "z"))
     (doubt,) = [d for d in fit.doubts if "does not vary" in d]
     assert "along x of the work of record 2" in doubt
     assert '{ Fy = "none" }' in doubt
@@ -297,10 +292,10 @@ def test_a_channel_that_is_dead_in_one_of_two_records_is_told():
 def test_a_dead_channel_is_told(axis):
     """Along z next to nothing may act on a flat cutter; in the plane that cannot be."""
     time, force = record(FEEDS[1])
-    fit = identification.fit_force_coefficients(cuts()[1], time, force, time_shift=0.0)
+    fit = fitted(time, force)
     assert not any("does not vary" in note for note in fit.notes)
     force[:, axis] = 0.0
-    fit = identification.fit_force_coefficients(cuts()[1], time, force, time_shift=0.0)
+    fit = fitted(time, force)
     text = f"along {'xyz'[axis]} of the work does not vary"
     assert any(text in note for note in fit.notes)
     assert any(text in doubt for doubt in fit.doubts) == (axis < 2)
@@ -309,8 +304,7 @@ def test_a_dead_channel_is_told(axis):
 def told(force):
     """Return what a fit of the second cut tells of a force."""
     time, _ = record(FEEDS[1])
-    time = time[: len(force)]
-    fit = identification.fit_force_coefficients(cuts()[1], time, force, time_shift=0.0)
+    fit = fitted(time[: len(force)], force)
     return {one.code: one.values for one in fit.diagnoses}
 
 
@@ -340,9 +334,7 @@ def test_materials_that_a_coefficient_is_known_of_are_told():
     # A gain of two in every channel leaves no other trace.
     time, force = record(FEEDS[1])
     for gain, expected, other in ((1, "aluminium", "steel"), (2.5, "steel", "alumin")):
-        fit = identification.fit_force_coefficients(
-            cuts()[1], time, gain * force, time_shift=0.0
-        )
+        fit = fitted(time, gain * force)
         note = next(note for note in fit.notes if "as published of" in note)
         assert expected in note
         assert other not in note
@@ -389,7 +381,7 @@ def test_a_line_at_the_frequency_of_the_spindle_tells_of_runout():
 def test_the_spectrum_of_the_residual_shows_what_the_model_has_not():
     cut, time, seen = both(noise=0.01)
     seen[0][:, 1] += 8 * np.sin(2 * math.pi * 730 * time[0])
-    fit = identification.fit_force_coefficients(cut, time, seen, time_shift=0.0)
+    fit = fit_force_coefficients(cut, time, seen, time_shift=0.0)
     frequency, amplitude = fit.residual_spectrum()
     peak = np.argmax(amplitude[:, 1])
     assert frequency[peak] == pytest.approx(730, abs=8)
@@ -402,7 +394,7 @@ def test_runout_is_found(later):
     """Also where one record begins at the other tooth: alike teeth do not show it."""
     cut, time, seen = both(shift=0.4e-3, runout=10e-6)
     time[1], seen[1] = record(FEEDS[1], 1, shift=0.4e-3 + later, runout=10e-6)
-    fit = identification.fit_force_coefficients(cut, time, seen, refine=["runout"])
+    fit = fit_force_coefficients(cut, time, seen, refine=["runout"])
     assert fit.has_converged and fit.explained > 0.995
     # Which of the teeth is called 0 is chance.
     np.testing.assert_allclose(abs(fit.refined["runout_x"]), 10e-6, atol=0.5e-6)
@@ -421,9 +413,7 @@ def test_runout_stays_where_no_step_lowers_the_cost():
     )
     cut = dataclasses.replace(cuts()[1], cutter=cutter)
     time, seen = record(FEEDS[1], noise=0.0, shift=3e-3)
-    fit = identification.fit_force_coefficients(
-        cut, time, seen, refine=["runout"], time_shift=0.0
-    )
+    fit = fit_force_coefficients(cut, time, seen, refine=["runout"], time_shift=0.0)
     found = fit.records[0].cut.cutter
     assert float(found.runout) == pytest.approx(15e-6, rel=1e-9)
     assert not fit.has_converged
@@ -438,10 +428,10 @@ def test_runout_stays_where_no_step_lowers_the_cost():
 def test_wrong_arguments_are_named():
     cut, time, seen = both()
     with pytest.raises(ValueError, match="`axes`"):
-        identification.fit_force_coefficients(cut, time, seen, axes=("x", "x", "z"))
+        fit_force_coefficients(cut, time, seen, axes=("x", "x", "z"))
     with pytest.raises(ValueError):
-        identification.fit_force_coefficients(cut, time[:1], seen)
+        fit_force_coefficients(cut, time[:1], seen)
     with pytest.raises(ValueError, match="`time`"):
-        identification.fit_force_coefficients(cut[0], time[0] + 9.0, seen[0])
+        fit_force_coefficients(cut[0], time[0] + 9.0, seen[0])
     with pytest.raises(ValueError, match="radius"):
-        identification.fit_force_coefficients(cut, time, seen, refine=["speed"])
+        fit_force_coefficients(cut, time, seen, refine=["speed"])

@@ -21,6 +21,7 @@ from diffmill import (
     workpiece as wp,
 )
 from diffmill.cutting import LinearEdgeLaw
+from diffmill.identification import fit_coupled
 
 PERIOD, MASS, ZETA = 3.75e-3, 80.0, 0.08
 STIFFNESS = np.array([1.5e6, 2.5e6, 4e6])
@@ -114,9 +115,7 @@ def test_deflection_alone_gives_springs_and_names_what_it_does_not_show():
     offset = np.array([3e-5, -2e-5, 1e-5])
     # The axial force bends the third slide by less than this noise.
     seen = clean + offset[None] + 3e-6 * draw.normal(size=clean.shape)
-    fit = identification.fit_coupled(
-        started(small(), ["K"]), deviation=seen, has_offset=True
-    )
+    fit = fit_coupled(started(small(), ["K"]), deviation=seen, has_offset=True)
     off = errors(fit, small())
     assert set(off) == {"K x", "K y", "D x", "D y"}
     assert max(abs(v) for v in off.values()) < 0.05
@@ -149,7 +148,7 @@ def test_one_record_gives_arm_and_cut(precision):
         )
     }
     coarse = cut(60, (0.1e-3, 0.3e-3), 0.5e-3, 192, 8, precision=precision)
-    fit = identification.fit_coupled(started(coarse), **seen)
+    fit = fit_coupled(started(coarse), **seen)
     off = errors(fit, fine)
     assert {"K x", "K y", "D x", "K_tc", "K_rc"} <= set(off)
     assert max(abs(v) for v in off.values()) < 0.05
@@ -166,12 +165,12 @@ def test_a_coefficient_that_pulls_is_fitted_with_its_sign():
     truth = dataclasses.replace(small(), law=law)
     seen = np.asarray(sim.simulate(truth).force)
     job = dataclasses.replace(truth, law=dataclasses.replace(law, K_ac=-200e6))
-    fit = identification.fit_coupled(job, force=seen, fit=["K_ac"])
+    fit = fit_coupled(job, force=seen, fit=["K_ac"])
     assert fit.parameters["K_ac"] == pytest.approx(-300e6, rel=1e-4)
     assert fit.standard_errors["K_ac"] >= 0
     with pytest.raises(ValueError, match="K_ac is 0"):
         none = dataclasses.replace(job, law=dataclasses.replace(law, K_ac=0.0))
-        identification.fit_coupled(none, force=seen, fit=["K_ac"])
+        fit_coupled(none, force=seen, fit=["K_ac"])
 
 
 @pytest.mark.slow
@@ -182,7 +181,7 @@ def test_a_start_that_is_far_off_does_no_harm(factor):
     job = small()
     robot = slides().with_drives(stiffness=factor * STIFFNESS)
     far = eqx.tree_at(lambda j: j.robot, job, robot)
-    fit = identification.fit_coupled(far, deviation=seen)
+    fit = fit_coupled(far, deviation=seen)
     off = errors(fit, small())
     assert {"K x", "K y"} <= set(off) and max(abs(v) for v in off.values()) < 0.05
     assert fit.is_explained and fit.explained["deviation"] > 0.97
@@ -191,7 +190,7 @@ def test_a_start_that_is_far_off_does_no_harm(factor):
 @pytest.mark.slow
 def test_a_record_of_another_machine_is_called_so():
     turned = np.asarray(small_record().deviation)[:, [1, 2, 0]]
-    fit = identification.fit_coupled(started(small(), ["K"]), deviation=turned)
+    fit = fit_coupled(started(small(), ["K"]), deviation=turned)
     assert fit.explained["deviation"] < 0.7
     assert "does not suit the job" in " ".join(fit.notes)
 
@@ -228,7 +227,7 @@ def test_what_has_no_start_is_not_fitted_and_noted():
     job = eqx.tree_at(lambda j: j.law.K_te, small(), 0.0)
     record = small_record()
     rows = {"force": np.asarray(record.force), "deviation": record.deviation}
-    fit = identification.fit_coupled(job, **rows, max_steps=1)
+    fit = fit_coupled(job, **rows, max_steps=1)
     assert set(values_of(job)) - set(fit.parameters) == {"K_te"}
     (note,) = [note for note in fit.notes if note.startswith("Not fitted")]
     assert "K_te is 0" in note
@@ -237,19 +236,19 @@ def test_what_has_no_start_is_not_fitted_and_noted():
 def test_a_parameter_without_a_start_is_refused():
     job = eqx.tree_at(lambda j: j.law.K_te, small(), 0.0)
     with pytest.raises(ValueError, match="K_te"):
-        identification.fit_coupled(job, force=np.zeros((49, 3)), fit=["K_te"])
+        fit_coupled(job, force=np.zeros((49, 3)), fit=["K_te"])
 
 
 def test_wrong_arguments_are_named():
     job, rows = small(), np.zeros((49, 3))
     with pytest.raises(ValueError, match="`force` and `deviation`"):
-        identification.fit_coupled(job)
+        fit_coupled(job)
     with pytest.raises(ValueError, match="robot"):
         bare = eqx.tree_at(lambda j: j.robot, job, None)
-        identification.fit_coupled(bare, deviation=rows)
+        fit_coupled(bare, deviation=rows)
     with pytest.raises(ValueError, match=r"`deviation`.*\(49, 3\)"):
-        identification.fit_coupled(job, deviation=rows[:20])
+        fit_coupled(job, deviation=rows[:20])
     with pytest.raises(ValueError, match="`fit`"):
-        identification.fit_coupled(job, deviation=rows, fit=["K elbow"])
+        fit_coupled(job, deviation=rows, fit=["K elbow"])
     with pytest.raises(ValueError, match="`loss`"):
-        identification.fit_coupled(job, deviation=rows, loss="tukey")
+        fit_coupled(job, deviation=rows, loss="tukey")

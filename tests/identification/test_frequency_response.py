@@ -3,6 +3,7 @@ import pytest
 from vibrations import receptance, ring_down, with_noise
 
 from diffmill import identification
+from diffmill.identification import fit_frequency_response
 
 FREQUENCY = np.linspace(5.0, 60.0, 300)
 OMEGA = 2 * np.pi * FREQUENCY
@@ -16,7 +17,7 @@ def response(noise=0.0, modes=MODES):
 
 @pytest.mark.parametrize("quantity", list(FACTORS))
 def test_modes_of_a_clean_response_come_back(quantity):
-    fit = identification.fit_frequency_response(
+    fit = fit_frequency_response(
         FREQUENCY, response() * FACTORS[quantity], modes=2, quantity=quantity
     )
     for k, (frequency, zeta, stiffness) in enumerate(MODES):
@@ -36,7 +37,7 @@ def test_errors_are_as_large_as_the_noise_makes_them(alike, relative):
         alone = alike * np.sqrt(np.mean(np.abs(clean) ** 2))
         size = np.hypot(alone, relative * np.abs(clean))
         noise = draw.normal(size=300) + 1j * draw.normal(size=300)
-        fit = identification.fit_frequency_response(
+        fit = fit_frequency_response(
             FREQUENCY, clean + size * noise, frequencies=[14.5, 26.0]
         )
         for k, (frequency, zeta, stiffness) in enumerate(MODES):
@@ -49,9 +50,9 @@ def test_errors_are_as_large_as_the_noise_makes_them(alike, relative):
 
 def test_what_is_missing_is_said():
     with pytest.raises(ValueError):
-        identification.fit_frequency_response(FREQUENCY, response())
+        fit_frequency_response(FREQUENCY, response())
     with pytest.raises(ValueError, match=r"2.* 3"):
-        identification.fit_frequency_response(FREQUENCY, response(), modes=3)
+        fit_frequency_response(FREQUENCY, response(), modes=3)
 
 
 @pytest.mark.parametrize("quantity", ["receptance", "accelerance"])
@@ -64,9 +65,7 @@ def test_clear_modes_are_found_below_the_noise_of_an_accelerometer(quantity):
     total = with_noise(total, 0.01, seed=1)
     if quantity == "receptance":
         total = -total / omega**2
-    fit = identification.fit_frequency_response(
-        frequency, total, modes=3, quantity=quantity
-    )
+    fit = fit_frequency_response(frequency, total, modes=3, quantity=quantity)
     assert fit.identifiable.all() and fit.explained > 0.99
     np.testing.assert_allclose(fit.frequencies, [m[0] for m in modes], rtol=2e-3)
     np.testing.assert_allclose(fit.damping_ratios, [m[1] for m in modes], rtol=0.05)
@@ -75,9 +74,7 @@ def test_clear_modes_are_found_below_the_noise_of_an_accelerometer(quantity):
 
 def test_what_no_structure_has_is_no_mode():
     broad = response(0.01, modes=((14.0, 0.03, 1.5e6), (30.0, 0.6, 1e6)))
-    fit = identification.fit_frequency_response(
-        FREQUENCY, broad, frequencies=[14.0, 30.0]
-    )
+    fit = fit_frequency_response(FREQUENCY, broad, frequencies=[14.0, 30.0])
     assert fit.is_structural.tolist() == [True, False]
     assert fit.identifiable.tolist() == [True, False]
     time = np.arange(0, 1.0, 1e-3)

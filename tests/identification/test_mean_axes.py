@@ -7,6 +7,7 @@ from slot_force import mean_lines
 
 from diffmill import identification
 from diffmill.cutting import LinearEdgeLaw
+from diffmill.identification import propose_mean_axes
 
 K = np.array([958.86e6, 250.863e6, 146.361e6, 15.758e3, 19.434e3, 18.207e3])
 FEEDS = np.array([0.025e-3, 0.05e-3, 0.1e-3, 0.125e-3])
@@ -27,7 +28,7 @@ def test_turned_means_are_told_and_turned_back(order, signs):
     force = means(entry, leave)
     recorded = np.empty_like(force)
     recorded[:, list(order)] = force * np.array(signs)[None]
-    found = identification.propose_mean_axes(
+    found = propose_mean_axes(
         FEEDS, recorded, **SLOT, entry_angle=entry, exit_angle=leave
     )
     alike = [one for one in found if one.score == found[0].score]
@@ -47,19 +48,17 @@ def test_a_reversed_dynamometer_is_told_by_the_hand_of_the_helix():
     how = {**SLOT, "entry_angle": entry, "exit_angle": leave, "helix_angle": 0.5}
     # A right-hand helix pulls toward the work.
     force = means(entry, leave) * np.array([1, 1, -1])[None]
-    best, next_best, *_ = identification.propose_mean_axes(FEEDS, -force, **how)
+    best, next_best, *_ = propose_mean_axes(FEEDS, -force, **how)
     assert best.axes == ("-x", "-y", "-z") and best.score < next_best.score
     # Known to be the force on the tool, a left-handed assignment is unlikely.
-    best, *_ = identification.propose_mean_axes(
-        FEEDS, -force, **how, is_right_handed=True
-    )
+    best, *_ = propose_mean_axes(FEEDS, -force, **how, is_right_handed=True)
     assert best.axes == ("-x", "-y", "z")
     assert next(iter(best.violations)).endswith("unlike a right-hand helix")
 
 
 def test_a_slot_read_with_wrong_axes_makes_no_sense():
     recorded = means()[:, [1, 0, 2]]
-    found = identification.propose_mean_axes(FEEDS, recorded, **SLOT)
+    found = propose_mean_axes(FEEDS, recorded, **SLOT)
     plain = next(one for one in found if one.axes == ("x", "y", "z"))
     assert "K_tc is not positive" in plain.violations
     assert found[0].axes == ("y", "x", "z") and found[0].score == 0

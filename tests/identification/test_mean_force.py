@@ -9,8 +9,8 @@ from helpers import PAPER_LAW
 from references import circles
 from slot_force import mean_lines
 
-from diffmill import identification
 from diffmill.cutting import LinearEdgeLaw
+from diffmill.identification import fit_mean_forces
 
 ROOT = pathlib.Path(__file__).parents[2]
 DATA = ROOT / os.environ.get("DIFFMILL_REFERENCE_DATA", "../shared/data")
@@ -26,7 +26,7 @@ def test_quadratures_of_the_force_give_the_coefficients_back(entry, exit):
         circles.thin_chip_mean_force(PAPER_LAW, f, entry, exit, 2e-3, teeth=3)
         for f in FEEDS
     ]
-    fit = identification.fit_mean_forces(
+    fit = fit_mean_forces(
         FEEDS,
         np.stack(mean),
         teeth=3,
@@ -47,9 +47,7 @@ def test_standard_errors_cover_the_truth():
     off, shared, fit = [], [], None
     for _ in range(200):
         noisy = mean + draw.normal(size=mean.shape) * np.array([[3.0, 1.0, 0.3]])
-        fit = identification.fit_mean_forces(
-            feeds, noisy, teeth=2, axial_depth=3e-3, exit_angle=2.0
-        )
+        fit = fit_mean_forces(feeds, noisy, teeth=2, axial_depth=3e-3, exit_angle=2.0)
         found = np.array(list(fit.coefficients.values()))
         off.append(found - truth)
         shared.append(
@@ -70,7 +68,7 @@ def test_the_published_line_fit_of_a_measurement():
     mean = data["mean_N"]
     # The record's Fx is the book's Fy, and its Fy the book's Fx.
     force = np.column_stack([mean["Fy"], mean["Fx"], mean["Fz"]])
-    fit = identification.fit_mean_forces(
+    fit = fit_mean_forces(
         np.array(data["feed_per_tooth_mm"]) * 1e-3, force, teeth=2, axial_depth=3e-3
     )
     for name, value in fit.coefficients.items():
@@ -80,9 +78,7 @@ def test_the_published_line_fit_of_a_measurement():
 
 def test_one_feed_is_no_line():
     with pytest.raises(ValueError):
-        identification.fit_mean_forces(
-            [1e-4, 1e-4], np.ones((2, 3)), teeth=2, axial_depth=1e-3
-        )
+        fit_mean_forces([1e-4, 1e-4], np.ones((2, 3)), teeth=2, axial_depth=1e-3)
 
 
 def test_known_is_what_errs_little_beside_the_force():
@@ -90,9 +86,9 @@ def test_known_is_what_errs_little_beside_the_force():
     force = mean_lines(FEEDS, np.array([900e6, 300e6, 150e6, 0, 0, 0]))
     draw = np.random.default_rng(0).normal(size=force.shape)
     size = {"teeth": 2, "axial_depth": 3e-3}
-    quiet = identification.fit_mean_forces(FEEDS, force + 0.3 * draw, **size)
+    quiet = fit_mean_forces(FEEDS, force + 0.3 * draw, **size)
     assert all(quiet.identifiable.values()) and abs(quiet.coefficients["K_te"]) < 200
-    loud = identification.fit_mean_forces(FEEDS, force + 40 * draw, **size)
+    loud = fit_mean_forces(FEEDS, force + 40 * draw, **size)
     assert not any(loud.identifiable.values())
-    two = identification.fit_mean_forces(FEEDS[:2], force[:2], **size)
+    two = fit_mean_forces(FEEDS[:2], force[:2], **size)
     assert not any(two.identifiable.values())

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from diffmill import identification, robot as rb
+from diffmill.identification import fit_joint_stiffness
 
 
 @functools.cache
@@ -58,7 +59,7 @@ def test_exact_tables_give_the_springs_back():
     d = moved(robot, q, wrench)
     K = np.asarray(robot.joint_stiffness)
     for table in (d, d[:, :3]):
-        fit = identification.fit_joint_stiffness(robot, q, wrench, table)
+        fit = fit_joint_stiffness(robot, q, wrench, table)
         assert fit.identifiable.all() and fit.outliers == () and fit.notes == ()
         np.testing.assert_allclose(fit.stiffness, K, rtol=1e-8)
         assert fit.explained == pytest.approx(1) and fit.is_consistent
@@ -72,7 +73,7 @@ def test_the_loaded_balance_of_the_whole_robot_is_fitted():
     q, wrench, _ = loads(robot, 8, 2)
     deflect = jax.jit(jax.vmap(lambda a, w: rb.static_deflection(robot, a, w)))
     d = np.asarray(deflect(jnp.asarray(q), jnp.asarray(wrench)))
-    fit = identification.fit_joint_stiffness(robot, q, wrench, d[:, :3])
+    fit = fit_joint_stiffness(robot, q, wrench, d[:, :3])
     K = np.asarray(robot.joint_stiffness)
     np.testing.assert_allclose(fit.stiffness, K, rtol=2e-2)
 
@@ -86,7 +87,7 @@ def test_noise_outliers_and_a_wrist_at_rest(seed):
     bad = sorted(draw.choice(20, 2, replace=False))
     d[bad[0]] *= -1
     d[bad[1]] *= 2.5
-    fit = identification.fit_joint_stiffness(robot, q, wrench, d)
+    fit = fit_joint_stiffness(robot, q, wrench, d)
     assert fit.outliers == tuple(bad)
     assert fit.identifiable.tolist() == [True] * 3 + [False] * 3
     K = np.asarray(robot.joint_stiffness)
@@ -106,7 +107,7 @@ def test_a_joint_that_the_loads_bound_has_a_number_with_its_interval():
     wrench *= 0.1
     d = moved(robot, q, wrench)[:, :3]
     d += 0.09 * np.sqrt(np.mean(d**2)) * draw.normal(size=d.shape)
-    fit = identification.fit_joint_stiffness(robot, q, wrench, d, noise="absolute")
+    fit = fit_joint_stiffness(robot, q, wrench, d, noise="absolute")
     assert fit.explained > 0.99
     assert fit.identifiable[fit.share > 0.1].all() and not fit.identifiable.all()
     rough = np.flatnonzero(fit.identifiable & fit.is_rough)
@@ -122,7 +123,7 @@ def test_permuted_axes_are_a_bad_fit():
     q, wrench, draw = loads(robot, 20, 5)
     d = moved(robot, q, wrench)[:, :3]
     d += 0.05 * np.sqrt(np.mean(d**2)) * draw.normal(size=d.shape)
-    fit = identification.fit_joint_stiffness(robot, q, wrench, d[:, [1, 2, 0]])
+    fit = fit_joint_stiffness(robot, q, wrench, d[:, [1, 2, 0]])
     assert fit.explained < 0.5 and not fit.is_consistent
     assert not fit.identifiable.any() and np.isnan(fit.stiffness).all()
     assert "(z, x, y)" in " ".join(fit.notes)
@@ -137,7 +138,7 @@ def test_a_table_in_other_axes_than_the_robot_is_a_bad_fit(turn):
     d *= 1 + 0.05 * draw.normal(size=d.shape)
     T = np.array(turn)
     turned = np.hstack([T * wrench[:, :3], np.prod(T) * T * wrench[:, 3:]])
-    fit = identification.fit_joint_stiffness(robot, q, turned, d * T)
+    fit = fit_joint_stiffness(robot, q, turned, d * T)
     assert not fit.is_consistent and not fit.identifiable.any()
     names = ", ".join(
         f"{'-' if sign < 0 else ''}{axis}" for sign, axis in zip(T, "xyz", strict=True)
@@ -159,10 +160,10 @@ def test_a_load_in_other_axes_is_told_from_complete_rows():
     q, wrench, d = noisy(robot, 20, 5)
     d[3, 2] = np.nan
     turned = wrench.reshape(-1, 2, 3)[:, :, [1, 2, 0]].reshape(-1, 6)
-    fit = identification.fit_joint_stiffness(robot, q, turned, d)
+    fit = fit_joint_stiffness(robot, q, turned, d)
     assert not fit.is_consistent and not fit.identifiable.any()
     assert "the load read as (z, x, y)" in " ".join(fit.notes)
-    right = identification.fit_joint_stiffness(robot, q, wrench, d)
+    right = fit_joint_stiffness(robot, q, wrench, d)
     assert right.is_consistent and right.identifiable.any()
 
 
@@ -170,7 +171,7 @@ def test_axes_that_cannot_be_checked_are_said():
     robot = arm()
     q, wrench, d = noisy(robot, 20, 5, noise=0.1)
     d[:18, 2] = np.nan
-    fit = identification.fit_joint_stiffness(robot, q, wrench, d)
+    fit = fit_joint_stiffness(robot, q, wrench, d)
     assert fit.is_consistent and "The axes could not be checked" in " ".join(fit.notes)
 
 
@@ -185,7 +186,7 @@ def test_axes_exchanged_in_the_tool_are_told_in_its_axes(with_rotations):
     force = np.einsum("pij,pj->pi", M, wrench[:, :3])
     moment = -np.einsum("pij,pj->pi", M, wrench[:, 3:])
     other = np.hstack([force, moment])
-    fit = identification.fit_joint_stiffness(robot, q, other, d, load_frame=R)
+    fit = fit_joint_stiffness(robot, q, other, d, load_frame=R)
     assert "the load read as (z, -x, y)" in " ".join(fit.notes)
     assert not fit.is_consistent
 
@@ -234,9 +235,7 @@ def test_a_displacement_mirrored_in_the_tool_is_told_in_its_axes():
     q, wrench, d = noisy(robot, 20, 5)
     d, R = in_tool(robot, q, d)
     other = d[:, [1, 2, 0]] * np.array([[1.0, -1.0, 1.0]])
-    fit = identification.fit_joint_stiffness(
-        robot, q, wrench, other, displacement_frame=R
-    )
+    fit = fit_joint_stiffness(robot, q, wrench, other, displacement_frame=R)
     assert "the displacement read as (z, x, -y)" in " ".join(fit.notes)
     assert not fit.is_consistent
 
@@ -245,7 +244,7 @@ def test_a_constant_offset_is_fitted_when_asked():
     robot = arm()
     q, wrench, _ = loads(robot, 12, 6)
     d = moved(robot, q, wrench)[:, :3] + np.array([[1e-3, -2e-3, 3e-3]])
-    fit = identification.fit_joint_stiffness(robot, q, wrench, d, has_offset=True)
+    fit = fit_joint_stiffness(robot, q, wrench, d, has_offset=True)
     assert fit.offset is not None
     np.testing.assert_allclose(fit.offset, [1e-3, -2e-3, 3e-3], rtol=1e-6)
     K = np.asarray(robot.joint_stiffness)
@@ -260,7 +259,7 @@ def test_standard_errors_cover_the_truth():
         q, wrench, draw = loads(robot, 10, seed)
         d = moved_fast(robot, q, wrench) @ (1 / K)
         d += 0.03 * np.sqrt(np.mean(d**2)) * draw.normal(size=d.shape)
-        fit = identification.fit_joint_stiffness(robot, q, wrench, d, noise="absolute")
+        fit = fit_joint_stiffness(robot, q, wrench, d, noise="absolute")
         off.append((fit.compliance - 1 / K) / fit.compliance_errors)
     within = np.mean(np.abs(np.stack(off)) < 2)
     assert 0.9 < within < 0.99
@@ -271,7 +270,7 @@ def test_the_bound_from_few_tests_allows_for_their_number():
     q, wrench, draw = loads(robot, 3, 7)
     d = moved(robot, q, wrench)[:, :3]
     d += 0.01 * np.sqrt(np.mean(d**2)) * draw.normal(size=d.shape)
-    fit = identification.fit_joint_stiffness(robot, q, wrench, d, noise="absolute")
+    fit = fit_joint_stiffness(robot, q, wrench, d, noise="absolute")
     # Student's quantile for the nine numbers less six unknowns.
     most = fit.compliance + 2.353 * fit.compliance_errors
     np.testing.assert_allclose(1 / fit.stiffness_bound, most, rtol=1e-3)
@@ -290,14 +289,14 @@ def test_suggested_tests_show_the_missing_joints():
     wrench[:, :2] = 0
     d = moved(robot, q, wrench)[:, :3]
     d += 0.02 * np.sqrt(np.mean(d**2)) * draw.normal(size=d.shape)
-    fit = identification.fit_joint_stiffness(robot, q, wrench, d)
+    fit = fit_joint_stiffness(robot, q, wrench, d)
     assert not fit.identifiable[0] and not fit.identifiable[5]
     more = identification.suggest_load_tests(robot, fit, q, wrench)
     assert more.unobservable == (robot.joint_names[5],)
     q, wrench = np.vstack([q, more.q]), np.vstack([wrench, more.wrench])
     d = moved(robot, q, wrench)[:, :3]
     d += 0.02 * np.sqrt(np.mean(d[:8] ** 2)) * draw.normal(size=d.shape)
-    again = identification.fit_joint_stiffness(robot, q, wrench, d)
+    again = fit_joint_stiffness(robot, q, wrench, d)
     assert again.identifiable[0]
     assert more.relative_errors[0] < 0.1
 
@@ -309,7 +308,7 @@ def test_no_load_test_is_suggested_twice():
     wrench[:, :2] = 0
     d = moved(robot, q, wrench)[:, :3]
     d += 0.02 * np.sqrt(np.mean(d**2)) * draw.normal(size=d.shape)
-    fit = identification.fit_joint_stiffness(robot, q, wrench, d)
+    fit = fit_joint_stiffness(robot, q, wrench, d)
     more = identification.suggest_load_tests(robot, fit, q, wrench, count=5)
     assert len(np.unique(np.hstack([more.q, more.wrench]), axis=0)) == 5
     with pytest.raises(ValueError, match="`count` must be at most 600"):
@@ -322,7 +321,7 @@ def test_a_table_with_no_more_numbers_than_unknowns_is_told_what_helps():
     q, wrench, draw = loads(robot, 2, 3)
     d = moved(robot, q, wrench)[:, :3]
     d[1, 2] = np.nan
-    fit = identification.fit_joint_stiffness(robot, q, wrench, d)
+    fit = fit_joint_stiffness(robot, q, wrench, d)
     assert np.isinf(fit.spread) and fit.is_consistent and not fit.identifiable.any()
     more = identification.suggest_load_tests(robot, fit, q, wrench)
     assert more.unobservable == (robot.joint_names[5],)
@@ -331,7 +330,7 @@ def test_a_table_with_no_more_numbers_than_unknowns_is_told_what_helps():
     q, wrench = np.vstack([q, more.q]), np.vstack([wrench, more.wrench])
     d = moved(robot, q, wrench)[:, :3]
     d += 0.02 * np.sqrt(np.mean(d**2)) * draw.normal(size=d.shape)
-    again = identification.fit_joint_stiffness(robot, q, wrench, d)
+    again = fit_joint_stiffness(robot, q, wrench, d)
     assert again.identifiable[:5].all()
 
 
@@ -339,11 +338,11 @@ def test_tables_of_a_wrong_shape_are_refused():
     robot = arm()
     q, wrench, _ = loads(robot, 4, 0)
     with pytest.raises(ValueError, match=r"`wrench`.*\(4, 3\)"):
-        identification.fit_joint_stiffness(robot, q, wrench[:3], wrench)
+        fit_joint_stiffness(robot, q, wrench[:3], wrench)
     with pytest.raises(ValueError, match="`displacement`"):
-        identification.fit_joint_stiffness(robot, q, wrench, np.full((4, 3), np.nan))
+        fit_joint_stiffness(robot, q, wrench, np.full((4, 3), np.nan))
     with pytest.raises(ValueError, match="`displacement` must differ from zero"):
-        identification.fit_joint_stiffness(robot, q, wrench, np.zeros((4, 3)))
+        fit_joint_stiffness(robot, q, wrench, np.zeros((4, 3)))
     wrench[2, 0] = np.nan
     with pytest.raises(ValueError, match="row 2"):
-        identification.fit_joint_stiffness(robot, q, wrench, q[:, :3])
+        fit_joint_stiffness(robot, q, wrench, q[:, :3])
