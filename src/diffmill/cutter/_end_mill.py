@@ -180,7 +180,8 @@ class EndMill(AbstractCutter):
             the nearest point changes from side to bottom, and on the rim of a flat end;
             finite everywhere, zero across the tool axis on it.
         """
-        return _profile.level(points, tip, axis, self._sizes(points.dtype, offset))
+        place = _profile.AxisPlace.of(points, tip, axis)
+        return place.level(self._sizes(points.dtype, offset)).value
 
     def normal(
         self,

@@ -106,16 +106,6 @@ def profile_level(
     return Level(level, by_along.astype(dtype), by_across.astype(dtype))
 
 
-def level(
-    points: Float[Array, "*#place 3"],
-    tip: Float[Array, "*#place 3"],
-    axis: Float[Array, "*#place 3"],
-    sizes: Sizes,
-) -> Float[Array, "..."]:
-    """Signed distance of points [m]; see `EndMill.level`."""
-    return AxisPlace.of(points, tip, axis).level(sizes).value
-
-
 def normal(
     points: Float[Array, "*#place 3"],
     tip: Float[Array, "*#place 3"],
