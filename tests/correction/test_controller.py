@@ -13,6 +13,7 @@ from diffmill.config import load_job
 from diffmill.correction import TipPlant, UnsuitableSettings, correct
 from diffmill.process import FrozenStock
 from diffmill.sim import JobKinematics
+from small_job import ARM, write_job
 
 PROGRAM = """G21 G17 G90 G94
 G0 X-6 Y5 Z1
@@ -22,50 +23,31 @@ G1 Y8
 G0 Z1
 M2
 """
-JOB = """
-[cutter]
-kind = "flat"
-diameter = "10 mm"
-teeth = 2
-helix_angle = "0 deg"
-flute_length = "22 mm"
-[spindle]
-speed = "8000 rpm"
-[force]
-K_tc = "989.8 N/mm^2"
-K_rc = "337.3 N/mm^2"
-K_ac = "66.9 N/mm^2"
-K_te = "3.0 N/mm"
-K_re = "15.4 N/mm"
-K_ae = "4.5 N/mm"
-[stock]
-lower = ["0 mm", "0 mm", "-3 mm"]
-upper = ["8 mm", "14 mm", "0 mm"]
-spacing = "0.5 mm"
-[program]
-file = "part.ngc"
-corner_tolerance = "0 mm"
-[robot]
-model = "reis_rv130_like"
-work_in_base = { position = ["1525 mm", "-5 mm", "936 mm"] }
-joint_damping = [
-  "1825 N*m*s/rad", "4675 N*m*s/rad", "1200 N*m*s/rad",
-  "157.5 N*m*s/rad", "125 N*m*s/rad", "25 N*m*s/rad",
-]
-[controller]
-moving_average = "30 ms"
-interpolation_cycle = "12 ms"
-interpolation = "hold"
-bandwidth = "10 Hz"
-damping_ratio = 0.7
-"""
+JOB = {
+    "cutter.helix_angle": "0 deg",
+    "cutter.flute_length": "22 mm",
+    "force.K_te": "3.0 N/mm",
+    "force.K_re": "15.4 N/mm",
+    "force.K_ae": "4.5 N/mm",
+    "stock.upper": ["8 mm", "14 mm", "0 mm"],
+    "program.corner_tolerance": "0 mm",
+    "robot": ARM,
+    "robot.joint_damping": [
+        f"{damping} N*m*s/rad" for damping in (1825, 4675, 1200, 157.5, 125, 25)
+    ],
+    "controller": {
+        "moving_average": "30 ms",
+        "interpolation_cycle": "12 ms",
+        "interpolation": "hold",
+        "bandwidth": "10 Hz",
+        "damping_ratio": 0.7,
+    },
+}
 
 
 @pytest.fixture
 def job(tmp_path):
-    (tmp_path / "part.ngc").write_text(PROGRAM)
-    (tmp_path / "job.toml").write_text(JOB)
-    return load_job(tmp_path / "job.toml")
+    return load_job(write_job(tmp_path, JOB, program=PROGRAM))
 
 
 CONTROLLER = (

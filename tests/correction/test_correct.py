@@ -21,6 +21,7 @@ from diffmill.correction import (
 )
 from diffmill.examples import copy_example
 from diffmill.sim import JobKinematics
+from small_job import ARM, write_job
 
 PROGRAM = """G21 G17 G90 G94
 G0 X-6 Y3 Z-1
@@ -29,43 +30,23 @@ G1 Y14
 G1 X20
 M2
 """
-JOB = """
-[cutter]
-kind = "flat"
-diameter = "10 mm"
-teeth = 2
-flute_length = "22 mm"
-[spindle]
-speed = "8000 rpm"
-[force]
-K_tc = "989.8 N/mm^2"
-K_rc = "337.3 N/mm^2"
-K_ac = "66.9 N/mm^2"
-[stock]
-lower = ["0 mm", "0 mm", "-3 mm"]
-upper = ["12 mm", "12 mm", "0 mm"]
-spacing = "0.5 mm"
-[program]
-file = "tiny.ngc"
-acceleration = "1 m/s^2"
-rapid_feed = "100 mm/s"
-[robot]
-model = "reis_rv130_like"
-work_in_base = { position = ["1525 mm", "-5 mm", "936 mm"] }
-[simulation]
-angles = 192
-substeps = 4
-[correction]
-max_steps = 1
-"""
+JOB = {
+    "cutter.flute_length": "22 mm",
+    "stock.upper": ["12 mm", "12 mm", "0 mm"],
+    "program.acceleration": "1 m/s^2",
+    "program.rapid_feed": "100 mm/s",
+    "robot": ARM,
+    "simulation": {"angles": 192, "substeps": 4},
+    "correction": {"max_steps": 1},
+}
 
 
 @pytest.fixture
 def load(tmp_path):
     def load(more="", program=PROGRAM):
-        (tmp_path / "tiny.toml").write_text(JOB + more)
-        (tmp_path / "tiny.ngc").write_text(program)
-        return load_job(tmp_path / "tiny.toml")
+        file = write_job(tmp_path, JOB, program=program)
+        file.write_text(file.read_text() + more)
+        return load_job(file)
 
     return load
 

@@ -18,7 +18,6 @@ from diffmill.correction import (
     Mirror,
     Motion,
     Problem,
-    SampledMirror,
     SplineOffsets,
     project,
     residual,
@@ -184,7 +183,7 @@ def test_iterated_mirror_keeps_the_best_and_counts_its_runs(
 
 def test_a_sampled_mirror_takes_the_branch_of_its_sample(problem, mirrored):
     """With all rows as its sample it is the whole grid; with half, what suits them."""
-    whole = SampledMirror(problem)(problem)
+    whole = IteratedMirror(sample=problem)(problem)
     assert whole.measures.rms == mirrored.measures.rms
     assert whole.forward_runs > mirrored.forward_runs
     half = slice(len(problem.desired) // 2)
@@ -194,7 +193,7 @@ def test_a_sampled_mirror_takes_the_branch_of_its_sample(problem, mirrored):
         desired=problem.desired[half],
         is_cutting=problem.is_cutting[half],
     )
-    found, best = SampledMirror(sample)(problem), IteratedMirror()(sample)
+    found, best = IteratedMirror(sample=sample)(problem), IteratedMirror()(sample)
     for name in ("cutoff", "relaxation"):
         assert found.detail[name] == best.detail[name]
     assert found.forward_runs < mirrored.forward_runs

@@ -49,10 +49,10 @@ from ._job.objective import UnsuitableSettings as UnsuitableSettings
 from ._job.plants import ScaledPlant as ScaledPlant, TipPlant as TipPlant
 from ._job.residual import residual as residual
 from ._method.adam import Adam as Adam
-from ._method.delay import delayed as delayed
 from ._method.ensemble import (
     DelayedPlant as DelayedPlant,
     Ensemble as Ensemble,
+    delayed as delayed,
 )
 from ._method.gauss_newton import GaussNewton as GaussNewton
 from ._method.input_shaper import shaped as shaped
@@ -60,7 +60,6 @@ from ._method.inverse_drive import inverse_drive as inverse_drive
 from ._method.mirror import (
     IteratedMirror as IteratedMirror,
     Mirror as Mirror,
-    SampledMirror as SampledMirror,
 )
 from ._placement.place_workpiece import place_workpiece as place_workpiece
 from ._segments.plant_segment import (

@@ -28,18 +28,18 @@ if TYPE_CHECKING:
 # Length of a trial over that of a refused one, in the metric of the curvature. The
 # least of a parabola through the refused one is nearer than need be: the next one has
 # another direction.
-_SHORTER = 0.5
+_RETRY_LENGTH = 0.5
 # How often the damping is raised beside the trials, until a step is short enough.
-_RAISES = 20
+_MAX_RAISES = 20
 # Damping after a trial at least: below it matters no more, but a refused step would
 # not raise it back before the trials end, and a curvature without full rank would be
 # singular to rounding.
 _LEAST_DAMPING = 1e-10
 # Share of the cost that a step must be foreseen to take away for its point to be taken
 # for the next one before it is tried.
-_LARGE = 0.5
+_LARGE_DECREASE = 0.5
 # A step so near to a bound, as a share of its range, is at the bound.
-_AT_BOUND = 1e-7
+_AT_BOUND_SHARE = 1e-7
 
 Vector: TypeAlias = Float[np.ndarray, " unknown"]
 # Whatever a problem computes at a point.
@@ -136,7 +136,7 @@ class QuadraticModel(eqx.Module):
         p[is_free] = least * unit
         # The solver stops just short of a bound.
         width = box.upper - box.lower
-        near = np.where(np.isfinite(width), _AT_BOUND * width, 0.0)
+        near = np.where(np.isfinite(width), _AT_BOUND_SHARE * width, 0.0)
         p = np.where(p <= box.lower + near, box.lower, p)
         return np.where(p >= box.upper - near, box.upper, p)
 
@@ -399,7 +399,7 @@ def _stepped(
     )
     # Largest squared length of a trial, in the metric of the curvature.
     longest, trials = np.inf, 0
-    for _ in range(solver.attempts + _RAISES):
+    for _ in range(solver.attempts + _MAX_RAISES):
         p = model.damped_step(damping, box)
         if p is None:
             damping *= solver.damping_increase
@@ -413,7 +413,9 @@ def _stepped(
             continue
         used = damping
         is_last = state.steps + 1 >= solver.max_steps
-        is_next = trials == 0 and not is_last and model.decrease(p) > _LARGE * now
+        is_next = (
+            trials == 0 and not is_last and model.decrease(p) > _LARGE_DECREASE * now
+        )
         evaluate = problem.evaluate_for_model if is_next else problem.evaluate
         # A step to a bound, added to the point, may be beyond it by rounding.
         trial = np.clip(state.x + p, bounds.lower, bounds.upper)
@@ -441,7 +443,7 @@ def _stepped(
         if is_tiny or trials == solver.attempts:
             break
         # A step that hardly differs from one that was refused is refused too.
-        longest = min(longest, curved) * _SHORTER**2
+        longest = min(longest, curved) * _RETRY_LENGTH**2
     cost = cost if is_better else now
     step = LeastSquaresStep(
         cost, used, state.evaluations, state.models, seconds(), is_better

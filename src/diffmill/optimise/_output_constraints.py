@@ -13,10 +13,10 @@ from jaxtyping import Float
 from ._least_squares import LinearRows
 
 # The linear model may go to this share of a bound.
-_DRAWN_IN = 0.95
+_DRAWN_IN_SHARE = 0.95
 # Weight of what is out of bounds: far more than what is to become small, which is about
 # 1 at its largest.
-_WEIGHT = 30.0
+_OUTSIDE_WEIGHT = 30.0
 
 Outputs = Float[np.ndarray, " output"]
 
@@ -48,8 +48,10 @@ class OutputConstraints(eqx.Module):
         """Cost of outputs out of bounds: infinite, or that of the soft constraint."""
         if is_hard:
             return 0.0 if self.is_within(outputs) else np.inf
-        drawn = np.clip(outputs, _DRAWN_IN * self.lower, _DRAWN_IN * self.upper)
-        return 0.5 * _WEIGHT**2 * float(np.sum((outputs - drawn) ** 2))
+        drawn = np.clip(
+            outputs, _DRAWN_IN_SHARE * self.lower, _DRAWN_IN_SHARE * self.upper
+        )
+        return 0.5 * _OUTSIDE_WEIGHT**2 * float(np.sum((outputs - drawn) ** 2))
 
     def rows(
         self, outputs: Outputs, slopes: Float[np.ndarray, "output unknown"]
@@ -61,9 +63,9 @@ class OutputConstraints(eqx.Module):
             slopes: Their derivative, shape (output, unknown).
         """
         is_hard = self.is_within(outputs)
-        lower = _DRAWN_IN * self.lower - outputs
-        upper = _DRAWN_IN * self.upper - outputs
+        lower = _DRAWN_IN_SHARE * self.lower - outputs
+        upper = _DRAWN_IN_SHARE * self.upper - outputs
         if is_hard:
             # An output between both bounds may not come closer.
             lower, upper = np.minimum(lower, 0.0), np.maximum(upper, 0.0)
-        return LinearRows(slopes, lower, upper, np.inf if is_hard else _WEIGHT)
+        return LinearRows(slopes, lower, upper, np.inf if is_hard else _OUTSIDE_WEIGHT)

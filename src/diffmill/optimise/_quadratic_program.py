@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 # What the solver calls a solution.
-_SOLVED = ("Solved", "AlmostSolved")
+_SOLVED_STATUS = ("Solved", "AlmostSolved")
 
 
 def solve_quadratic_program(
@@ -73,6 +73,6 @@ def solve_quadratic_program(
         settings,
     ).solve()
     x = np.asarray(solution.x)[:unknowns]
-    if str(solution.status) not in _SOLVED or not np.all(np.isfinite(x)):
+    if str(solution.status) not in _SOLVED_STATUS or not np.all(np.isfinite(x)):
         return None
     return x

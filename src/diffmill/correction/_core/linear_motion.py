@@ -46,15 +46,15 @@ class TracedMotion(LinearMotion):
 
     Attributes:
         motion: The motion.
-        push: Maps a change of the command to that of the motion, a tree.
+        jvp: Maps a change of the command to that of the motion, a tree.
     """
 
     motion: Motion
-    push: PyTree
+    jvp: PyTree
 
     def move(self, changes: Float[Array, "step axis direction"]) -> Motion:
         """Changes of the motion, each direction a row of the first axis."""
-        return jax.vmap(self.push, in_axes=-1)(changes)
+        return jax.vmap(self.jvp, in_axes=-1)(changes)
 
 
 def linear_motion(plant: Plant, command: FloatRows) -> LinearMotion:
@@ -66,9 +66,9 @@ def linear_motion(plant: Plant, command: FloatRows) -> LinearMotion:
 
     **Differentiability**: none, a host function.
     """
-    found = plant.linearised(command) if isinstance(plant, HasLinearMotion) else None
-    if found is not None:
-        return found
+    system = plant.linearised(command) if isinstance(plant, HasLinearMotion) else None
+    if system is not None:
+        return system
     return _traced(cast(Plant, plant), jnp.asarray(command))
 
 

@@ -11,7 +11,7 @@ from ...workpiece import Rays, Stock
 
 # Weight of a row that only passes over the surface: enough that the command does not
 # swing into it there, little beside the rows that cut.
-_TOUCHING = 0.1
+_TOUCHING_WEIGHT = 0.1
 
 
 def row_weights(
@@ -47,7 +47,7 @@ def row_weights(
     """
     is_cutting, line = np.asarray(is_cutting, bool), np.asarray(line)
     touches = np.zeros_like(is_cutting) if is_touching is None else is_touching
-    own = np.where(is_cutting, 1.0, _TOUCHING * np.asarray(touches))
+    own = np.where(is_cutting, 1.0, _TOUCHING_WEIGHT * np.asarray(touches))
     weights = own.copy()
     for first, last, weight in sections:
         if weight < 0:

@@ -124,8 +124,8 @@ def feed_figures(
 ) -> FeedFigures:
     """Figures of a path at the logarithms of its override."""
     override = jnp.exp(x)
-    found = problem.prediction(override, step_count)
-    return FeedFigures(found.mean_square(), problem.feed.instants(override)[-1])
+    contour = problem.prediction(override, step_count)
+    return FeedFigures(contour.mean_square(), problem.feed.instants(override)[-1])
 
 
 class FeedSlopes(eqx.Module):
@@ -150,13 +150,13 @@ def feed_slopes(
 ) -> FeedSlopes:
     """Derivatives of the figures by the logarithms of the override."""
     predict = lambda x: (problem.prediction(jnp.exp(x), step_count),) * 2
-    slopes, found = jax.jacfwd(predict, has_aux=True)(x)
+    slopes, contour = jax.jacfwd(predict, has_aux=True)(x)
     # Lengths and weights of the rows change too, but give no curvature: a sum over
     # other rows of the same path.
-    by = jax.grad(lambda found: found.mean_square() / 2)(found)
+    by = jax.grad(lambda contour: contour.mean_square() / 2)(contour)
     gradient = jnp.einsum("ra,rak->k", by.vectors, slopes.vectors)
     gradient = gradient + by.lengths @ slopes.lengths
-    share = found.lengths / jnp.sum(found.lengths)
+    share = contour.lengths / jnp.sum(contour.lengths)
     J = slopes.vectors * jnp.sqrt(share)[:, None, None]
     J = J.reshape(-1, x.size)
     time = lambda x: problem.feed.instants(jnp.exp(x))[-1]

@@ -38,7 +38,7 @@ _MAX_STEP = 0.4
 _DAMPING_DECREASE = 0.2
 # A step that promises less of the objective than this ends the search.
 _COST_RTOL = 3e-5
-_ATTEMPTS = 6
+_TRIALS_PER_STEP = 6
 
 
 class FeedPoint(eqx.Module):
@@ -110,18 +110,18 @@ class FeedPoint(eqx.Module):
             )
         solver = LevenbergMarquardt(
             max_steps=max_steps,
-            attempts=_ATTEMPTS,
+            attempts=_TRIALS_PER_STEP,
             max_step=_MAX_STEP,
             damping_decrease=_DAMPING_DECREASE,
             cost_rtol=_COST_RTOL,
         )
-        tell = on_progress or (lambda message, share: None)
+        report_share = on_progress or (lambda message, share: None)
         state = LeastSquaresState(x, first, solver.damping)
         points = [_point(float("nan"), state)]
-        tell(_point_text(points[0]), 0.0)
+        report_share(_point_text(points[0]), 0.0)
         for done, weight in enumerate(time_weights):
             name = f"weight {weight:g}"
-            report = lambda at, done=done, name=name: tell(
+            report = lambda at, done=done, name=name: report_share(
                 f"{name}: step {at.steps}, {at.value.time:.2f} s, "
                 f"{1e6 * at.value.square**0.5:.2f} um",
                 done / len(time_weights),
@@ -136,7 +136,9 @@ class FeedPoint(eqx.Module):
                 callback=report,
             )
             points.append(_point(weight, state))
-            tell(f"{name}: {_point_text(points[-1])}", (done + 1) / len(time_weights))
+            report_share(
+                f"{name}: {_point_text(points[-1])}", (done + 1) / len(time_weights)
+            )
         return tuple(points)
 
 
@@ -207,5 +209,5 @@ def _figures(
     problem: FeedProblem, x: Float[np.ndarray, " knot"], rows: int
 ) -> FeedFigures:
     dtype = jnp.result_type(problem.feed.path.positions)
-    found = feed_figures(problem, jnp.asarray(x, dtype), rows)
-    return FeedFigures(float(found.square), float(found.time))
+    figures = feed_figures(problem, jnp.asarray(x, dtype), rows)
+    return FeedFigures(float(figures.square), float(figures.time))

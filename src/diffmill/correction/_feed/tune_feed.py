@@ -25,7 +25,7 @@ from .problem import FeedProblem
 from .result import FeedTradeoff, TunedFeed
 from .trade_off_curve import FeedPoint, OnShare
 
-_WEIGHTS = (0.3, 0.1, 0.03)
+_TIME_WEIGHTS = (0.3, 0.1, 0.03)
 
 
 class FeedPlant(eqx.Module):
@@ -83,17 +83,17 @@ def feed_tradeoff(
     feed = PathFeed.of_path(job.path, acceleration=acceleration)
     times = [feed.cycle_time(override) for override in overrides]
     rows = max(feed.row_count(override) for override in overrides)
-    tell = on_progress or (lambda message, share: None)
+    report_share = on_progress or (lambda message, share: None)
     runs: list[dict[str, float]] = []
     for done, (override, time) in enumerate(zip(overrides, times, strict=True)):
         share, name = done / len(overrides), f"override {override:g}"
-        tell(name, share)
+        report_share(name, share)
         path = retime(
             job.path, override, acceleration=feed.acceleration, step_count=rows
         )
         slowed = eqx.tree_at(lambda j: j.path, job, path)
         if corrects:
-            report = lambda text, rms, share=share, name=name: tell(
+            report = lambda text, rms, share=share, name=name: report_share(
                 f"{name}, {text}: contour error {1e6 * rms:.2f} um rms", share
             )
             correction = correct(slowed, on_progress=report)
@@ -114,7 +114,9 @@ def feed_tradeoff(
                 "max_offset": offset,
             }
         )
-        tell(f"{name}: {1e6 * _error(before):.2f} um", (done + 1) / len(overrides))
+        report_share(
+            f"{name}: {1e6 * _error(before):.2f} um", (done + 1) / len(overrides)
+        )
     columns = {name: np.array([run[name] for run in runs], float) for name in runs[0]}
     return FeedTradeoff(**columns)
 
@@ -122,7 +124,7 @@ def feed_tradeoff(
 def tune_feed(
     job: Job,
     *,
-    time_weights: tuple[float, ...] = _WEIGHTS,
+    time_weights: tuple[float, ...] = _TIME_WEIGHTS,
     count: int = 8,
     lowest: float = 0.5,
     highest: float = 1.5,

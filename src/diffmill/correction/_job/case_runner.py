@@ -2,9 +2,9 @@
 
 import contextlib
 import dataclasses
+import functools
 import time
 from collections.abc import Callable, Iterator
-from typing import Any
 
 import jax
 
@@ -60,6 +60,7 @@ class CaseRecord:
         problem: Problem,
         *,
         is_case: bool = True,
+        is_search: bool = False,
         **options: object,
     ) -> MethodResult:
         """Outcome of a method, run or taken up from before an interruption.
@@ -70,6 +71,8 @@ class CaseRecord:
             problem: The problem.
             is_case: False for a preparation of the next case, whose costs count as a
                 part of that.
+            is_search: True for an optimiser, which tells its state after every step and
+                goes on from one.
             options: Further ones of the method.
         """
         start = time.perf_counter()
@@ -79,6 +82,9 @@ class CaseRecord:
         if known is not None and (known.is_successful or not is_case):
             outcome, seconds = known.outcome(problem), known.seconds
         else:
+            if is_search:
+                options["on_checkpoint"] = functools.partial(self._keep_search, name)
+                options["resume"] = below(f"search/{name}", self._resume) or None
             outcome = method(problem, on_progress=self._on_progress, **options)
             jax.block_until_ready(outcome)
             outcome = dataclasses.replace(
@@ -100,15 +106,9 @@ class CaseRecord:
             self._on_progress(name, outcome.measures.rms)
         return outcome
 
-    def kept_search(self, name: str) -> dict[str, Any]:
-        """Options with which a search tells its state, and goes on from one."""
-
-        def keep(arrays: Arrays) -> None:
-            self._state = CorrectionState(self._state.method, {name: arrays})
-            self._keep()
-
-        known = below(f"search/{name}", self._resume)
-        return {"on_checkpoint": keep, "resume": known or None}
+    def _keep_search(self, name: str, arrays: Arrays) -> None:
+        self._state = CorrectionState(self._state.method, {name: arrays})
+        self._keep()
 
     def _keep(self) -> None:
         if self._on_checkpoint is not None:

@@ -27,6 +27,7 @@ from .._method.gauss_newton import GaussNewton
 from .._method.input_shaper import shaped_program
 from .._method.inverse_drive import InverseDriveCommand, inverse_drive
 from .._method.mirror import Mirror
+from .._method.optimiser import AbstractOptimiser
 from .._segments.receding_horizon import RecedingHorizon
 from .._spline.projection import clip_offset
 from .case_runner import CaseRecord, OnProgress
@@ -34,10 +35,7 @@ from .correction_problem import CorrectionProblem, checked_job
 from .joint_limits import JointLimits
 from .linear_job import prepare_linear_job
 from .method import (
-    Optimiser,
-    for_the_path,
     job_optimiser,
-    out_of_bounds,
     within_joint_limits,
 )
 from .objective import check_limits, job_spline
@@ -282,7 +280,7 @@ def _run_baselines(
 def _run_optimiser(
     task: CorrectionProblem,
     record: CaseRecord,
-    method: Optimiser,
+    method: AbstractOptimiser,
     segments: SegmentRows | None,
     inverse: InverseDriveCommand | None,
 ) -> None:
@@ -300,10 +298,11 @@ def _run_optimiser(
         start = min(record.methods.values(), key=task.remaining_error).command
         start = _spread(job, start)
     method = within_joint_limits(method, job, problem)
-    path_first = None if segments else for_the_path(method)
+    # A segment begins where the one before it has ended.
+    path_first = None if segments else method.towards_path()
     if path_first is not None:
         start = _start_on_path(task, record, method, path_first, problem, start)
-    search: Optimiser | RecedingHorizon = method
+    search: AbstractOptimiser | RecedingHorizon = method
     if segments is not None:
         plant = problem.plant
         assert isinstance(plant, TipPlant | JointPlant)
@@ -311,16 +310,14 @@ def _run_optimiser(
         search = RecedingHorizon(
             plant.pieces, method, horizon=segments.length, overlap=segments.overlap
         )
-    record.run(
-        "corrected", search, problem, start=start, **record.kept_search("corrected")
-    )
+    record.run("corrected", search, problem, is_search=True, start=start)
 
 
 def _start_on_path(
     task: CorrectionProblem,
     record: CaseRecord,
-    method: Optimiser,
-    path_first: GaussNewton,
+    method: AbstractOptimiser,
+    path_first: AbstractOptimiser,
     problem: Problem,
     start: FloatRows,
 ) -> FloatRows:
@@ -331,12 +328,17 @@ def _start_on_path(
     if task.job.correction.objective.counts_contact:
         rows = np.maximum(problem.is_cutting, rows)
     touching = dataclasses.replace(problem, is_cutting=rows)
-    name = "start_on_path"
-    kept = record.kept_search(name)
-    on_path = record.run(name, path_first, touching, is_case=False, start=start, **kept)
+    on_path = record.run(
+        "start_on_path",
+        path_first,
+        touching,
+        is_case=False,
+        is_search=True,
+        start=start,
+    )
     given = GivenCommand(path_first.begin(problem, start))
     given = record.run("start_as_given", given, problem, is_case=False)
-    closest = lambda m: task.remaining_error(m) + out_of_bounds(method, m)
+    closest = lambda m: task.remaining_error(m) + method.excess(m.motion)
     return min((on_path, given), key=closest).command
 
 

@@ -100,7 +100,7 @@ def _figures(correction: "Correction") -> dict[str, tuple[Any, ...]]:
         time_step = float((time[-1] - time[0]) / (len(time) - 1))
         accelerations.append(command_acceleration(solution.commanded, time_step))
     meaning = "mean of the vector from the desired path to the tip, where the tool cuts"
-    found: dict[str, tuple[Any, ...]] = {
+    variables: dict[str, tuple[Any, ...]] = {
         "path_part": (
             ("step",),
             parts.index.astype(np.int8),
@@ -140,16 +140,16 @@ def _figures(correction: "Correction") -> dict[str, tuple[Any, ...]]:
         ]
     )
     meaning = "where nothing pushes the tool but it should be in a full cut"
-    found["is_out_of_cut"] = (("case", "step"), left, _about("1", meaning))
-    found["rows_out_of_cut"] = (
+    variables["is_out_of_cut"] = (("case", "step"), left, _about("1", meaning))
+    variables["rows_out_of_cut"] = (
         ("case",),
         np.sum(left, axis=1).astype(np.int32),
         _about("1", f"rows {meaning}"),
     )
     for key, text in _PART_FIGURES.items():
         values = np.stack([table[key] for table in tables])
-        found[f"part_{key}"] = (("case", "part"), values, _about("m", text))
-    return found
+        variables[f"part_{key}"] = (("case", "part"), values, _about("m", text))
+    return variables
 
 
 def _surface_figures(
@@ -159,17 +159,17 @@ def _surface_figures(
     if not surfaces:
         return {}
     measures = [error.measures() for error in surfaces.values()]
-    found = {}
+    variables = {}
     for field in fields(measures[0]):
         text = _SURFACE_FIGURES[field.name.split("_")[-1]].format(
             field.name.split("_")[0]
         )
         values = np.array([getattr(measure, field.name) for measure in measures])
-        found[f"surface_{field.name}"] = (("case",), values, _about("m", text))
+        variables[f"surface_{field.name}"] = (("case",), values, _about("m", text))
     places = np.stack([error.deepest_at for error in surfaces.values()])
     about = _about("m", "where the tool cut deepest into the ideal part")
-    found["surface_deepest_at"] = (("case", "axis"), places, about)
-    return found
+    variables["surface_deepest_at"] = (("case", "axis"), places, about)
+    return variables
 
 
 def _about(units: str, meaning: str) -> dict[str, Any]:

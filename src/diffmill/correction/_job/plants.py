@@ -15,7 +15,7 @@ from ...sim import JobKinematics, MachiningProblem, Run, Solution
 from .._core.method import AbstractMethod
 from .._core.problem import AbstractHostPlant, Motion, Problem
 from .._method.ensemble import AbstractUncertainPlant, Parameters
-from .._method.mirror import IteratedMirror, SampledMirror
+from .._method.mirror import IteratedMirror
 from .linear_job import (
     LinearJob,
     Steps,
@@ -215,4 +215,4 @@ def job_mirror(
         desired=problem.desired[rows],
         is_cutting=weights,
     )
-    return SampledMirror(sample)
+    return IteratedMirror(sample=sample)

@@ -9,7 +9,7 @@ from .plant_segments import preview_rows
 # Paths of at most so many rows are corrected as a whole, unless the job says otherwise.
 _WHOLE_ROWS = 6000
 # Rows of a segment.
-_HORIZON = 2000
+_HORIZON_ROWS = 2000
 # Knots of the overlap: at 30 ms as long as an arm with a mode of 10 Hz and 2 % damping
 # needs to lose two thirds of a swing.
 _OVERLAP_KNOTS = 32
@@ -40,7 +40,7 @@ class SegmentRows(eqx.Module):
         is_able = not any(one.needs_whole_path for one in strategies)
         is_able &= settings.uncertainty is None and not has_own_objective
         if settings.horizon == "auto":
-            horizon = _HORIZON if rows > _WHOLE_ROWS and is_able else rows
+            horizon = _HORIZON_ROWS if rows > _WHOLE_ROWS and is_able else rows
         else:
             horizon = settings.horizon
         if horizon >= rows:

@@ -17,7 +17,7 @@ from jaxtyping import Array, Float, PyTree
 from ..._result import RESULTS
 from ..._types import FloatRows
 from ...settings.correction import CorrectionSettings
-from .._core.method import AbstractMethod, MethodResult, OnProgress, corrected
+from .._core.method import MethodResult, OnProgress, corrected
 from .._core.path_objective import AbstractObjective, PathObjective
 from .._core.problem import Problem
 from .._spline.command_limits import LinearLimits, feasible_share
@@ -26,6 +26,7 @@ from .._spline.spline_offsets import SplineOffsets
 from .checkpoint import Arrays, OnCheckpoint, pack, unpack
 from .offset_fit import ContourResidual
 from .offset_residual import OffsetResidual, offset_residual
+from .optimiser import AbstractOptimiser
 
 if TYPE_CHECKING:
     import optax
@@ -51,7 +52,7 @@ class _AdamState(eqx.Module):
     gradients: int
 
 
-class Adam(AbstractMethod):
+class Adam(AbstractOptimiser):
     """Adam on the spline offsets of a command, brought within bounds after every step.
 
     A step that leaves the limits goes on from the nearest command within them. The step
@@ -158,8 +159,8 @@ class Adam(AbstractMethod):
         bound = float(args.problem.max_offset)
         if feasible_share(np.asarray(x, np.float64) * bound, self.limits) < 1:
             offset = np.asarray(args.spline.offsets(x * bound))
-            held = project(args.spline, offset, bound, limits=self.limits)  # pyright: ignore[reportArgumentType]
-            x = jnp.asarray(held / bound, x.dtype)
+            nearest = project(args.spline, offset, bound, limits=self.limits)  # pyright: ignore[reportArgumentType]
+            x = jnp.asarray(nearest / bound, x.dtype)
         return _AdamState(x, moments, best, lowest_cost, gradients), True
 
 

@@ -10,9 +10,9 @@ from ..._result import RESULTS
 from ..._types import FloatRows
 from ...optimise import LeastSquaresState, LevenbergMarquardt
 from ...settings.correction import CorrectionSettings
-from .._core.method import AbstractMethod, MethodResult, OnProgress, corrected
+from .._core.method import MethodResult, OnProgress, corrected
 from .._core.path_objective import AbstractObjective, PathObjective
-from .._core.problem import Problem
+from .._core.problem import Motion, Problem
 from .._spline.command_limits import LinearLimits
 from .._spline.projection import project
 from .._spline.spline_offsets import SplineOffsets
@@ -27,14 +27,17 @@ from .offset_fit import (
     fit_offsets,
     offset_fit,
 )
+from .optimiser import AbstractOptimiser
 
+# Steps towards the path at most: further ones improve what the surface does not see.
+_STEPS_TOWARDS_PATH = 2
 # Stands for a state of any shapes, which a checkpoint fills in.
 _ANY_STATE = LeastSquaresState(
     np.zeros(0), FitValue(np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0))), 0.0
 )
 
 
-class GaussNewton(AbstractMethod):
+class GaussNewton(AbstractOptimiser):
     """Least squares on the spline offsets of a command, within bounds.
 
     The unknowns are the coefficients of `SplineOffsets`, each within `max_offset` of
@@ -155,22 +158,28 @@ class GaussNewton(AbstractMethod):
             result=RESULTS.successful if is_settled else RESULTS.not_converged,
         )
 
-    def begin(self, problem: Problem, start: FloatRows) -> FloatRows:
-        """Command at which the iteration begins, within knots and limits.
+    def towards_path(self) -> "GaussNewton | None":
+        """Method that first brings the rows near the surface onto the path, or None.
 
-        The closest to `start` that the method may return, shape (step, axis).
-
-        Args:
-            problem: The problem.
-            start: Any command, shape (step, axis).
-
-        **Differentiability**: none, a host function.
+        The certain model is enough for a start, and it may leave the bounds of the
+        surface: on the path it is close to them, while the way to them from afar, with
+        a spring at every point that is out of bounds, takes many steps.
         """
-        nominal = np.asarray(problem.nominal)
-        spline = SplineOffsets(len(nominal), problem.time_step, self.knot_spacing)
-        limits, bound = self.all_limits(spline, nominal), float(problem.max_offset)
-        first = project(spline, np.asarray(start) - nominal, bound, limits=limits)
-        return nominal + np.asarray(spline.offsets(jnp.asarray(first)))
+        if not self.objective.starts_from_path and self.bounds is None:
+            return None
+        steps = min(_STEPS_TOWARDS_PATH, self.solver.max_steps)
+        return dataclasses.replace(
+            self,
+            solver=dataclasses.replace(self.solver, max_steps=steps),
+            objective=PathObjective(),
+            ensemble=None,
+            is_worst_case=False,
+            bounds=None,
+        )
+
+    def excess(self, motion: Motion) -> float:
+        """Distance of the surface to its bounds [m]; 0 within, or without any."""
+        return 0.0 if self.bounds is None else self.bounds.excess(motion)
 
     def all_limits(
         self, spline: SplineOffsets, nominal: FloatRows
@@ -206,7 +215,7 @@ class GaussNewton(AbstractMethod):
 def check_bounds(
     bounds: SurfaceBounds,
     fit: OffsetFit,
-    found: LeastSquaresState,
+    solution: LeastSquaresState,
     max_offset: float,
 ) -> None:
     """Raise if a solution leaves bounds of the surface.
@@ -214,7 +223,7 @@ def check_bounds(
     Args:
         bounds: The bounds.
         fit: What was solved.
-        found: The solution.
+        solution: The solution.
         max_offset: Bound of its coefficients.
 
     Raises:
@@ -222,8 +231,8 @@ def check_bounds(
 
     **Differentiability**: none, a host function.
     """
-    if fit.is_within(found.value):
+    if fit.is_within(solution.value):
         return
-    x = np.asarray(fit.coefficients(found.x), np.float64)
-    errors = UNIT * found.value.outputs.reshape(-1)
+    x = np.asarray(fit.coefficients(solution.x), np.float64)
+    errors = UNIT * solution.value.outputs.reshape(-1)
     raise refusal(bounds, errors, x, max_offset, fit.limits)

@@ -19,8 +19,8 @@ from ...optimise import LinearRows, QuadraticModel
 
 # Rounds at most, and the gap at which they end, as a share of the cost: no step has a
 # largest cost below the least weighted mean, whatever the weights.
-_ROUNDS = 200
-_GAP = 1e-3
+_MAX_ROUNDS = 200
+_COST_GAP = 1e-3
 
 Unknowns: TypeAlias = Float[np.ndarray, " unknown"]
 Member: TypeAlias = Float[np.ndarray, " member"]
@@ -114,7 +114,7 @@ class MinimaxModel(QuadraticModel):
             box: Bounds of the step.
         """
         weights, least, step = _equal(self.members), np.inf, None
-        for _ in range(_ROUNDS):
+        for _ in range(_MAX_ROUNDS):
             mean = _weighted(weights, self.members, self.shared)
             model = QuadraticModel(self.cost, mean.gradient, mean.curvature, self.rows)
             p = model.damped_step(damping, box)
@@ -123,7 +123,7 @@ class MinimaxModel(QuadraticModel):
             if (total := self._total(p)) < least:
                 least, step = total, p
             costs = np.array([member.after(p) for member in self.members])
-            if costs.max() - weights @ costs <= _GAP * total:
+            if costs.max() - weights @ costs <= _COST_GAP * total:
                 break
             # Members of larger error get larger weights.
             raised = weights * np.sqrt(costs)

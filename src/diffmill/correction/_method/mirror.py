@@ -17,7 +17,7 @@ from .._core.problem import Motion, Problem
 from .._spline.projection import clip_offset
 
 # An iterate that changes the error by less than this fraction has settled.
-_SETTLED = 1e-3
+_SETTLED_CHANGE = 1e-3
 # Of two iterates that leave the same error the slower and earlier one is better.
 _RANK = operator.attrgetter("error", "cutoff", "relaxation", "iterate")
 
@@ -65,6 +65,9 @@ class IteratedMirror(AbstractMethod):
     the way to end above the best of the branches before: its last relative change,
     repeated up to the last iterate, would not get there.
 
+    With a sample the grid runs on that part of the path; only its best branch, or the
+    slowest one where none helps, runs on the whole path.
+
     Attributes:
         cutoffs: Cut-off frequencies [Hz]; those above half the rate of the rows are
             left out.
@@ -72,6 +75,7 @@ class IteratedMirror(AbstractMethod):
         iterations: Iterates of a branch at most.
         order: Order of one pass of the filter.
         before: Motion of the nominal command; found by a run if None.
+        sample: Problem of a part of the path, from its beginning; None for the whole.
     """
 
     cutoffs: tuple[float, ...] = (1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 10.0)
@@ -79,6 +83,7 @@ class IteratedMirror(AbstractMethod):
     iterations: int = 10
     order: int = 4
     before: Motion | None = None
+    sample: Problem | None = None
 
     def __call__(
         self,
@@ -88,6 +93,8 @@ class IteratedMirror(AbstractMethod):
         on_progress: OnProgress | None = None,
     ) -> MethodResult:
         """Outcome of the best iterate of the grid; tip commands only."""
+        if self.sample is not None:
+            return self._with_branch_of(self.sample, problem, start, on_progress)
         command = _start(problem, start)
         motion = self.before if start is None else None
         if motion is None:
@@ -97,10 +104,12 @@ class IteratedMirror(AbstractMethod):
         best, runs = _Iterate(command, start_error, 0, 0.0, 0.0), 1
         deviation = _deviation(problem, motion)
         # A filter needs two rows per period.
-        known = [c for c in self.cutoffs if c < 0.5 / problem.time_step]
+        cutoffs_below_limit = [c for c in self.cutoffs if c < 0.5 / problem.time_step]
         # The highest cut-offs first: where they diverge they end soon, and if they do
         # not, they leave an error that the lower ones will not get below.
-        grid = list(product(sorted(known, reverse=True), self.relaxations))
+        grid = list(
+            product(sorted(cutoffs_below_limit, reverse=True), self.relaxations)
+        )
         # One branch after the other: two runs of one compiled program at the same time
         # can block each other in XLA's pool of threads.
         for done, (cutoff, relaxation) in enumerate(grid, start=1):
@@ -120,40 +129,25 @@ class IteratedMirror(AbstractMethod):
         }
         return corrected(problem, best.command, forward_runs=runs, detail=detail)
 
-
-class SampledMirror(AbstractMethod):
-    """The iterated mirror with the cut-off and relaxation that suit a part of the path.
-
-    The grid of `IteratedMirror` runs on a sample; only its best branch, or the slowest
-    one where none helps, runs on the whole path.
-
-    Attributes:
-        sample: The problem of the sample.
-        mirror: The grid.
-    """
-
-    sample: Problem
-    mirror: IteratedMirror = IteratedMirror()
-
-    def __call__(
+    def _with_branch_of(
         self,
+        sample: Problem,
         problem: Problem,
-        *,
-        start: FloatRows | None = None,
-        on_progress: OnProgress | None = None,
+        start: FloatRows | None,
+        on_progress: OnProgress | None,
     ) -> MethodResult:
-        """Outcome of the best iterate of one branch; tip commands only."""
-        rows = self.sample.nominal.shape[0]
+        """Outcome of the branch that is best on a sample."""
+        rows = sample.nominal.shape[0]
         part = None if start is None else start[:rows]
-        sampled = self.mirror(self.sample, start=part, on_progress=on_progress)
+        grid = dataclasses.replace(self, sample=None, before=None)
+        sampled = grid(sample, start=part, on_progress=on_progress)
         cutoff, relaxation = sampled.detail["cutoff"], sampled.detail["relaxation"]
         if cutoff == 0:
-            cutoff = min(self.mirror.cutoffs)
-            relaxation = min(self.mirror.relaxations)
-        chosen = dataclasses.replace(
-            self.mirror, cutoffs=(cutoff,), relaxations=(relaxation,)
+            cutoff, relaxation = min(self.cutoffs), min(self.relaxations)
+        branch = dataclasses.replace(
+            self, sample=None, cutoffs=(cutoff,), relaxations=(relaxation,)
         )
-        result = chosen(problem, start=start, on_progress=on_progress)
+        result = branch(problem, start=start, on_progress=on_progress)
         runs = int(np.ceil(rows / problem.nominal.shape[0] * sampled.forward_runs))
         return dataclasses.replace(result, forward_runs=result.forward_runs + runs)
 
@@ -207,7 +201,7 @@ def _branch(
             break
         yield _Iterate(command, error, i, cutoff, relaxation)
         grown = grown + 1 if error > last else 0
-        settled = settled + 1 if abs(error - last) < _SETTLED * last else 0
+        settled = settled + 1 if abs(error - last) < _SETTLED_CHANGE * last else 0
         # At its present pace, is the branch still below the best at its last iterate?
         pace, last = error / last, error
         is_behind = i > 1 and error * pace ** (method.iterations - i) > least_error

@@ -37,7 +37,7 @@ from .minimax import CostModel, MinimaxModel, Unknowns
 # of the numbers and what `smoothness` is relative to.
 UNIT = 1e-4
 # Unknowns that are carried through the run at once: what bounds its memory.
-_BLOCK = 96
+_UNKNOWNS_AT_ONCE = 96
 # Steps that may be taken besides to bring outputs within their bounds, and how little
 # of the cost one of them may gain. What cannot be held gains nothing long before.
 _RETURN_STEPS = 40
@@ -292,7 +292,7 @@ class OffsetFit(AbstractProblem):
         )
         args = dataclasses.replace(self.args, objective=objective)
         # Blocks of one length, the last one filled up.
-        size = min(_BLOCK, x.size)
+        size = min(_UNKNOWNS_AT_ONCE, x.size)
         errors, blocks = None, []
         for first in range(0, x.size, size):
             block = np.minimum(np.arange(first, first + size), x.size - 1)
@@ -440,5 +440,5 @@ def _slopes(
     moves = linear.move(basis[:, column][:, None] * along.T[None])
     units = along[:, None] * jax.nn.one_hot(column, count, dtype=dtype)[..., None]
     residual = lambda motion, x: errors_of(motion, x, args)
-    value, push = jax.linearize(residual, linear.motion, coefficients)
-    return value.error, jax.vmap(push)(moves, units)
+    value, jvp = jax.linearize(residual, linear.motion, coefficients)
+    return value.error, jax.vmap(jvp)(moves, units)

@@ -2,7 +2,7 @@
 
 The best of a few spread-out places and the job's own are starts of bounded
 Levenberg-Marquardt steps; joints stay within their ranges as constraints, and a place
-that the arm cannot reach, or reaches nearly singular, is refused. What is found is
+that the arm cannot reach, or reaches nearly singular, is refused. The result is
 then judged on the whole path.
 """
 
@@ -41,7 +41,7 @@ from .objective import (
 from .result import Placement, rms_across
 
 # Share of its range that a joint may use.
-_RANGE = 0.98
+_JOINT_RANGE = 0.98
 # A pose that is nearer to a singular one than this is refused, unless the job's own
 # place is as near: for a wrist it is some 4 degrees from straight.
 _LEAST_SINGULAR = 0.05
@@ -106,9 +106,9 @@ def place_workpiece(
     before = rms_across(job, force)
     task = _task(job, force, before, lower, upper, rows)
     tried = _search(task, lower, upper, starts)
-    found = _descend(task, lower, upper, tried, max_steps)
+    descended = _descend(task, lower, upper, tried, max_steps)
     best, place = np.inf, None
-    for values in found:
+    for values in descended:
         candidate = _place(job, task, values)
         rms = rms_across(candidate.moved(job), force)
         if rms < best:
@@ -288,7 +288,7 @@ class _Problem(AbstractProblem):
         error, ranges = self.parts(value)
         J_error, J_ranges = self.parts(J)
         limits = OutputConstraints(
-            np.full(len(ranges), -_RANGE), np.full(len(ranges), _RANGE)
+            np.full(len(ranges), -_JOINT_RANGE), np.full(len(ranges), _JOINT_RANGE)
         )
         is_hard = limits.is_within(ranges)
         rows = limits.rows(ranges, J_ranges)
@@ -309,7 +309,7 @@ class _Problem(AbstractProblem):
     def error(self, x: Float[np.ndarray, " 5"]) -> float:
         """Half the square of the errors; infinite where a place is refused."""
         entries = self.evaluate(x)
-        if entries is None or np.any(np.abs(self.parts(entries)[1]) > _RANGE):
+        if entries is None or np.any(np.abs(self.parts(entries)[1]) > _JOINT_RANGE):
             return np.inf
         error, _ = self.parts(entries)
         return 0.5 * float(error @ error)

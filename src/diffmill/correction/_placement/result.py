@@ -12,7 +12,7 @@ from ..._job import Job
 from .objective import across, path_tangents, whole_path
 
 # A joint that turns by more than this between two rows [rad] changes configuration.
-_TURN = 0.5
+_CONFIGURATION_TURN = 0.5
 
 
 class Placement(eqx.Module):
@@ -81,7 +81,7 @@ def rms_across(job: Job, force: Float[Array, "step 3"]) -> float:
     is_within = (q >= np.asarray(robot.joint_lower)[None]) & (
         q <= np.asarray(robot.joint_upper)[None]
     )
-    is_smooth = jump.max(initial=0.0) < _TURN
+    is_smooth = jump.max(initial=0.0) < _CONFIGURATION_TURN
     if not (bool(path.is_reached) and is_within.all() and is_smooth):
         return np.inf
     along = path_tangents(np.asarray(job.path.positions, np.float64))

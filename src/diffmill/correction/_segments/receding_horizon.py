@@ -42,10 +42,9 @@ from .._core.problem import Problem
 from .._method.checkpoint import Arrays, OnCheckpoint, pack, unpack
 from .._method.gauss_newton import GaussNewton, check_bounds
 from .._method.offset_fit import ContourResidual, fit_offsets, offset_fit
-from .._spline.command_limits import LinearLimits
+from .._spline.command_limits import LinearLimits, window_limits
 from .._spline.projection import project
 from .._spline.spline_offsets import CLAMPED, SplineOffsets, SplineWindow
-from .._spline.window_limits import window_limits
 from .._surface.segment_limits import (
     BoundedRows,
     cut_points,
