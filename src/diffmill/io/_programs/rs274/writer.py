@@ -1,5 +1,6 @@
 """A sampled path as G-code that a controller travels at the sampled instants."""
 
+import collections
 import math
 from collections.abc import Sequence
 
@@ -60,15 +61,13 @@ def write_gcode(
     lines = [comment_block(text) for text in (*header, *frame.comments)]
     lines += ["G17 G21 G90 G93", *frame.opening]
     if spindle_speed is not None:
-        rpm = float(spindle_speed) * 60 / (2 * math.pi)
-        lines.append(f"S{plain_number(round(rpm, 6))} {frame.spindle}")
+        lines.append(_spindle_block(float(spindle_speed), frame))
     lines.append(f"G0 {_coordinates(points[0])}")
-    between, written_count = frame.between, 0
+    between = collections.deque(frame.between)
     numbers = np.asarray(path.line)[1:].tolist()
     for point, step, number in zip(points[1:], steps, numbers, strict=True):
-        while written_count < len(between) and between[written_count][0] <= number:
-            lines.append(between[written_count][1])
-            written_count += 1
+        while between and between[0][0] <= number:
+            lines.append(between.popleft()[1])
         lines.append(f"G1 {_coordinates(point)} F{60 / step:.9f}")
     return "\n".join([*lines, *frame.closing]) + "\n"
 
@@ -83,6 +82,11 @@ def _distinct(
         if np.all(np.abs(points[row] - points[row - 1]) < nudge / 2):
             points[row, 2] = round(points[row, 2] + nudge, _DECIMALS)
     return points
+
+
+def _spindle_block(speed: float, frame: ProgramFrame) -> str:
+    """Block that sets the spindle speed [rad/s] and starts the spindle."""
+    return f"S{plain_number(round(speed * 30 / math.pi, 6))} {frame.spindle}"
 
 
 def _coordinates(point: Float[np.ndarray, " 3"]) -> str:
@@ -120,16 +124,13 @@ def write_moves(
     frame = ProgramFrame(closing=closing) if frame is None else frame
     lines = [comment_block(text) for text in (*header, *frame.comments)]
     lines += ["G17 G21 G40 G49 G90 G94", *frame.opening]
-    speeds = iter(program.spindle_speeds)
-    if (speed := next(speeds, None)) is not None:
-        rpm = round(float(speed) * 30 / math.pi, 6)
-        lines.append(f"S{plain_number(rpm)} {frame.spindle}")
+    if program.spindle_speed is not None:
+        lines.append(_spindle_block(program.spindle_speed, frame))
     plane, feed, mode = 2, None, 940
-    between, written_count = frame.between, 0
+    between = collections.deque(frame.between)
     for move in moves:
-        while written_count < len(between) and between[written_count][0] <= move.line:
-            lines.append(between[written_count][1])
-            written_count += 1
+        while between and between[0][0] <= move.line:
+            lines.append(between.popleft()[1])
         normal = [round(value, 9) + 0.0 for value in move.normal]
         is_plane = sorted(map(abs, normal)) == [0.0, 0.0, 1.0]
         whole = [move] if is_plane else straight_pieces(move, float(tolerance))
