@@ -1,5 +1,6 @@
 import math
 import re
+from typing import Any
 
 import numpy as np
 import pytest
@@ -116,7 +117,8 @@ def test_a_job_may_ask_for_the_chip_of_the_paper(write):
 
 
 def test_a_hollow_end_stands_upright(write):
-    hollow = {"cutter.helix_angle": None, "cutter.dish_angle": "2 deg"}
+    hollow: dict[str, Any] = {"cutter.helix_angle": None}
+    hollow["cutter.dish_angle"] = "2 deg"
     hollow["simulation.bottom_edges"] = True
     dish_angle = load_job(write(hollow)).cutter.dish_angle
     assert dish_angle == pytest.approx(math.radians(2))

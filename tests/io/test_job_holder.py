@@ -1,5 +1,7 @@
 """The tool holder of a job: its keys, its place in the notes, rapid moves."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -20,7 +22,10 @@ G1 X{end} F6000
 G0 {leave}
 M2
 """
-HOLDER = {"overhang": "4 mm", "holder": [{"diameter": "16 mm", "length": "20 mm"}]}
+HOLDER: dict[str, Any] = {
+    "overhang": "4 mm",
+    "holder": [{"diameter": "16 mm", "length": "20 mm"}],
+}
 
 
 def holder(**keys):

@@ -1,5 +1,7 @@
 """Values that no machine has: refused with their key, or noted before a run."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -7,7 +9,7 @@ import diffmill as dm
 from diffmill import examples
 from small_job import FLANGE_SPRING, PROGRAM, problems_of, write_job
 
-MODE = {"frequency": "20 Hz", "damping_ratio": 0.05}
+MODE: dict[str, Any] = {"frequency": "20 Hz", "damping_ratio": 0.05}
 MODE |= {"direction": [1, 0, 0], "stiffness": "1 N/um"}
 BENDING_TOOL = """
 [robot.bending_tool]
