@@ -958,6 +958,7 @@ LEFT_OUT = {
         "robot.build",
         "robot.rpy_*",
         "sim.MachiningProblem.of",
+        "sim.MachiningProblem.padded",
         "toolpath.BlockEnds.*",
         "toolpath.ContourStatistics.of",
         "toolpath.Move.*",
@@ -1006,6 +1007,7 @@ LEFT_OUT = {
         "sim.JobKinematics.solve",
         "sim.JobKinematics.tool_command",
         "sim.LinearRun.*",
+        "sim.Run.*",
         "sim.Midpoint.*",
         "sim.ModalMachine.*",
         "sim.QuasiStaticArm.*",
@@ -1038,7 +1040,8 @@ def public_functions():
         for name in dir(part):
             found = getattr(part, name)
             is_public = not (name.startswith("_") or inspect.ismodule(found))
-            if is_public and area != "cli":
+            # Commands, and the modules of settings, which know no JAX.
+            if is_public and area not in ("cli", "settings"):
                 known.append(found)
                 yield from of_object(f"{area}.{name}", found)
     for name in dir(dm):

@@ -165,8 +165,8 @@ class Holding(sim.RungeKutta4):
     def begin(self, robot, terms, step):  # pyright: ignore[reportIncompatibleMethodOverride]
         return terms.joint_positions
 
-    def step(self, robot, begun: Any, state, command, load, step):
-        return sim.ArmState(begun, state.v)
+    def step(self, robot, prepared: Any, state, command, load, step):
+        return sim.ArmState(prepared, state.v)
 
 
 def test_terms_of_the_middle_come_from_the_rule_asked_for():

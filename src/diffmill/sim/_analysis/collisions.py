@@ -111,7 +111,8 @@ class ToolContacts(eqx.Module):
             )
             slot_count = 2 * columns.ends.shape[-1]
             if not has_overflow or slot_count > _MOST_SLOTS:
-                return ToolContacts(*depths, columns.spacing)
+                rapid, held, part = depths
+                return ToolContacts(rapid, held, part, columns.spacing)
 
 
 def _depths(
