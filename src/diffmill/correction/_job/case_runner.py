@@ -83,7 +83,9 @@ class CaseRecord:
             outcome, seconds = known.outcome(problem), known.seconds
         else:
             if is_search:
-                options["on_checkpoint"] = functools.partial(self._keep_search, name)
+                options["on_checkpoint"] = functools.partial(
+                    self._checkpoint_search, name
+                )
                 options["resume"] = below(f"search/{name}", self._resume) or None
             outcome = method(problem, on_progress=self._on_progress, **options)
             jax.block_until_ready(outcome)
@@ -101,15 +103,15 @@ class CaseRecord:
         if name != "corrected":
             methods = {**self._state.method, name: CaseState.of(outcome, seconds)}
             self._state = CorrectionState(methods, {})
-            self._keep()
+            self._write_checkpoint()
         if self._on_progress is not None:
             self._on_progress(name, outcome.measures.rms)
         return outcome
 
-    def _keep_search(self, name: str, arrays: Arrays) -> None:
+    def _checkpoint_search(self, name: str, arrays: Arrays) -> None:
         self._state = CorrectionState(self._state.method, {name: arrays})
-        self._keep()
+        self._write_checkpoint()
 
-    def _keep(self) -> None:
+    def _write_checkpoint(self) -> None:
         if self._on_checkpoint is not None:
             self._on_checkpoint({**self._resume, **pack(self._state)})

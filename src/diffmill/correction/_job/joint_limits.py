@@ -21,7 +21,7 @@ from ...sim import JobKinematics
 from .._spline.command_limits import InfeasibleLimit, LinearLimits
 from .._spline.spline_offsets import SplineOffsets, basis_matrix
 
-# Factor of safety on the bend to second order.
+# Factor of safety on the nonlinearity to second order.
 _SAFETY_FACTOR = 1.5
 
 Motors = Float[np.ndarray, "step joint"]
@@ -66,12 +66,12 @@ class JointLimits(eqx.Module):
             JobKinematics(job).motor_positions_from_joints(joints), np.float64
         )
         slope = np.asarray(JobKinematics(job).motor_slopes(joints, tips), np.float64)
-        bend = _bend_bound(job, joints, tips, slope, max_offset)
+        nonlinearity = _nonlinearity_bound(job, joints, tips, slope, max_offset)
         least, most = (
             np.asarray(x, np.float64)[None]
             for x in (robot.joint_lower, robot.joint_upper)
         )
-        lower, upper = least + bend - motors, most - bend - motors
+        lower, upper = least + nonlinearity - motors, most - nonlinearity - motors
         cause = ", with what the joint's motion bends over `max_offset`"
         _refuse(job, motors, np.maximum(lower, -upper), float(spline.time_step), cause)
         reach = max_offset * np.sum(np.abs(slope), axis=2)
@@ -108,7 +108,7 @@ class JointLimits(eqx.Module):
         _refuse(job, motors, excess, float(job.tooth_period), "")
 
 
-def _bend_bound(
+def _nonlinearity_bound(
     job: Job,
     joints: Float[Array, "step joint"],
     tips: Float[Array, "step 3"] | None,
@@ -120,14 +120,14 @@ def _bend_bound(
     To second order that is half a quadratic form of the offset. Its matrix is how the
     slope changes, and the sum of its entries' sizes bounds it in the whole box.
     """
-    bend = np.zeros(joints.shape)
+    nonlinearity = np.zeros(joints.shape)
     for axis in range(slope.shape[2]):
         # Inverse kinematics would avoid a limit, by another configuration.
         aside = joints + jnp.asarray(max_offset * slope[:, :, axis], joints.dtype)
         there = None if tips is None else tips.at[:, axis].add(max_offset)
         change = np.asarray(JobKinematics(job).motor_slopes(aside, there)) - slope
-        bend += np.sum(np.abs(change), axis=2)
-    return _SAFETY_FACTOR * max_offset / 2 * bend
+        nonlinearity += np.sum(np.abs(change), axis=2)
+    return _SAFETY_FACTOR * max_offset / 2 * nonlinearity
 
 
 def _refuse(
