@@ -163,8 +163,8 @@ def balance_with_gaps(bend: StaticDeflection, load_of: _LoadOfTip) -> StaticEqui
         return q + move, jnp.max(jnp.abs(move)), count + 1
 
     def search(_: Callable[..., Array], near: Array) -> Array:
-        start = near, jnp.full((), jnp.inf, dtype), jnp.zeros((), jnp.int32)
-        q, size, _ = jax.lax.while_loop(goes_on, step, start)
+        first = near, jnp.full((), jnp.inf, dtype), jnp.zeros((), jnp.int32)
+        q, size, _steps = jax.lax.while_loop(goes_on, step, first)
         return jnp.where(size <= limit, q, jnp.nan)
 
     solve = lambda slope, y: jnp.linalg.solve(jax.vmap(slope)(eye).T, y)
