@@ -285,15 +285,15 @@ def _take_keys_of_strategies(kind: type[Settings]) -> None:
     """Let a class be made from names of strategies, and with their keys."""
     make = kind.__init__
 
-    def __init__(self: Settings, *args: object, **values: Any) -> None:
+    @functools.wraps(make)
+    def __init__(self: Settings, **values: Any) -> None:
         for field, _ in kind.choices():
             chosen = field.metadata["converter"](values.get(field.name, field.default))
             names = [own.name for own in dataclasses.fields(chosen)]
             own = {name: values.pop(name) for name in names if name in values}
             values[field.name] = dataclasses.replace(chosen, **own)
-        make(self, *args, **values)
+        make(self, **values)
 
-    __init__.__doc__ = make.__doc__
     kind.__init__ = __init__
 
 

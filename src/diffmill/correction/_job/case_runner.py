@@ -114,4 +114,5 @@ class CaseRecord:
 
     def _write_checkpoint(self) -> None:
         if self._on_checkpoint is not None:
+            # With the search that is resumed, until its own next step replaces it.
             self._on_checkpoint({**self._resume, **pack(self._state)})

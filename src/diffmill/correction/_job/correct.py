@@ -367,7 +367,9 @@ def _compared_cases(task: CorrectionProblem, record: CaseRecord) -> Correction:
     for name, outcome in outcomes.items():
         motion = outcome.motion
         if not isinstance(motion, SolvedMotion):
-            # The outcome is from before an interruption.
+            # The outcome is from before an interruption; that of an optimiser, which
+            # may command joints, is never stored.
+            assert name != "corrected"
             motion = task.plant.run(outcome.command)
             assert isinstance(motion, SolvedMotion)
         cases[name] = motion.solution

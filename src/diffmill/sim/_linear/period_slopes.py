@@ -1,12 +1,12 @@
 """Slopes of one tooth period: of its forces in the poses, and of the arm in its loads.
 
-Forces follow from poses: of the sub-step itself, of the periods before, of the thinned
-older circles, and of the pose at which the stock was looked up. A sample of an edge
-depends on the pose of its own sub-step alone, so few derivatives of the look-up do for
-all samples at once, and the force takes them by its slope in every sample. Where a
-look judges the period as a whole, its start and its last expected pose take the place
-of these. The stock is held: how a surface moves with the poses that cut it is left out,
-and so are the jumps of a cloud of points from ray to ray.
+Forces follow from poses: of the sub-step itself, of the periods before, of the
+decimated older ones, and of the pose at which the stock was looked up. A sample of an
+edge depends on the pose of its own sub-step alone, so few derivatives of the look-up do
+for all samples at once, and the force takes them by its slope in every sample. Where an
+update takes the travel of the whole period, its start and its last predicted pose take
+the place of these. The stock is held: how a surface moves with the poses that cut it is
+left out, and so are the jumps of a cloud of points from ray to ray.
 
 A pose is a row of 3 numbers, the tip, or of 6 where the tool tilts: tip and axis.
 """

@@ -78,9 +78,7 @@ _SPECIAL = (
     "incomplete_time",
     "incomplete_place",
 )
-_PREFIXES = tuple(
-    f"{kind}_" for kind in ("written", "moved", "stream", "stability", "mismatch")
-)
+_PREFIXES = tuple(f"{kind}_" for kind in ("written", "moved", "stream", "mismatch"))
 
 
 def write_report(

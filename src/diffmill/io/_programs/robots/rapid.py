@@ -100,7 +100,7 @@ class _Data(NamedTuple):
         is_usual: Whether the robot holds the tool, and does not hold the work.
         frames: Place [mm] and quaternion of one frame or of two, one in the other;
             None where they are no numbers.
-        unit: What the work object moves with, if anything.
+        moves_with_unit: True if the work object moves with a mechanical unit.
     """
 
     is_usual: bool
