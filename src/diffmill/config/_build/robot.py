@@ -122,7 +122,9 @@ def _drive_notes(
     stated: Float[np.ndarray, " joint"],
 ) -> list[str]:
     """Note of the ratio of stated values to the robot's own, unless it is 1."""
-    ratio = stated[own > 0] / own[own > 0]
+    # A file without springs or dampers has infinite ones, or none.
+    is_stated = (own > 0) & np.isfinite(own)
+    ratio = stated[is_stated] / own[is_stated]
     if not ratio.size or np.allclose(ratio, 1.0):
         return []
     least, most = (f"{value:.3g}" for value in (ratio.min(), ratio.max()))
