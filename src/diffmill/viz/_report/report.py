@@ -78,7 +78,9 @@ _SPECIAL = (
     "incomplete_time",
     "incomplete_place",
 )
-_PREFIXES = tuple(f"{kind}_" for kind in ("written", "moved", "stream", "mismatch"))
+_PREFIXES = tuple(
+    f"{kind}_" for kind in ("written", "moved", "stream", "stability", "mismatch")
+)
 
 
 def write_report(
