@@ -8,6 +8,7 @@ from jaxtyping import Float
 from ... import units as q
 from ...cutter import AbstractCutter
 from ...robot import Robot, built_in_models, rpy_matrix
+from ...settings.tables import TomlTable
 from .._schema.compliance import with_bending_cutter, with_spring
 from .._schema.job import PoseTable, RobotTable
 from .context import FileContext
@@ -84,9 +85,9 @@ def read_robot(
     robot = load_robot(table, context)
     if robot is None:
         return FittedRobot()
-    stiffness = _per_joint(table, "joint_stiffness", robot, problems)
-    damping = _per_joint(table, "joint_damping", robot, problems)
-    start = _per_joint(table, "joint_start", robot, problems)
+    stiffness = per_joint(table, "joint_stiffness", robot, problems)
+    damping = per_joint(table, "joint_damping", robot, problems)
+    start = per_joint(table, "joint_start", robot, problems)
     if stiffness is not None and not (stiffness > 0).all():
         problems.append("[robot] joint_stiffness: found 0, but above 0 is required")
         return FittedRobot()
@@ -145,10 +146,17 @@ def _tool_notes(T_flange_tool: Float[np.ndarray, "4 4"]) -> list[str]:
     ]
 
 
-def _per_joint(
-    table: RobotTable, key: str, robot: Robot, problems: list[str]
+def per_joint(
+    table: TomlTable, key: str, robot: Robot, problems: list[str]
 ) -> Float[np.ndarray, " joint"] | None:
-    """Quantities of the joints in SI, shape (joint,); None if absent or faulty."""
+    """Quantities of the joints in SI, shape (joint,); None if absent or faulty.
+
+    Args:
+        table: `[robot]` of a job or of a measurement.
+        key: Its key, with a text per joint.
+        robot: The robot.
+        problems: Receives the faults.
+    """
     texts = getattr(table, key)
     if texts is None:
         return None

@@ -1,20 +1,15 @@
 """The robot of a measurement."""
 
-import numpy as np
 from pydantic import Field, StrictStr
 
-from ... import units as q
 from ...robot import Robot
 from ...settings.fields import Damping, Stiffness
 from ...settings.tables import TomlTable
-from .._build.robot import pose_matrix
+from .._build.robot import per_joint, pose_matrix
 from .._build.robot_file import load_robot
 from .._schema.job import PoseTable, RobotTable
 from .context import Context
 from .fields import File
-
-_STIFFNESS = (q.ROTARY_STIFFNESS, q.LINEAR_STIFFNESS)
-_DAMPING = (q.ROTARY_DAMPING, q.LINEAR_DAMPING)
 
 
 class StudiedRobotTable(TomlTable):
@@ -83,27 +78,9 @@ def read_tool_robot(
     )
     if robot is None:
         return None
-    values = {}
-    for key, kinds in (("joint_stiffness", _STIFFNESS), ("joint_damping", _DAMPING)):
-        texts = getattr(table, key)
-        if texts is None:
-            continue
-        values[key] = np.zeros(robot.joint_count)
-        if len(texts) != robot.joint_count:
-            problems.append(
-                f"[robot] {key}: found {len(texts)} values, but one per joint is "
-                f"required: {', '.join(robot.joint_names)}"
-            )
-            return None
-        for i, text in enumerate(texts):
-            try:
-                kind = kinds[int(robot.joint_kinds[i] == "prismatic")]
-                values[key][i] = q.quantity(text, kind)
-            except ValueError as error:
-                problems.append(f"[robot] {key}.{i} ({robot.joint_names[i]}): {error}")
     robot = robot.with_drives(
-        stiffness=values.get("joint_stiffness"),
-        damping=values.get("joint_damping"),
+        stiffness=per_joint(table, "joint_stiffness", robot, problems),
+        damping=per_joint(table, "joint_damping", robot, problems),
     )
     if table.tool_in_flange is not None:
         robot = robot.with_tool(pose_matrix(table.tool_in_flange))
