@@ -8,6 +8,8 @@ from ..._types import RealScalarLike
 
 # 4 cos^2(angle / 2) below which a rotation counts as half a turn.
 _FLOOR = 1e-3
+# Angle below which a rotation is taken by its series [rad]; off by less than rounding.
+_SMALL_ANGLE = 1e-3
 
 
 def rpy_matrix(
@@ -34,6 +36,29 @@ def rpy_matrix(
             [-s_p, c_p * s_r, c_p * c_r],
         ]
     )
+
+
+def rotation_matrix(vector: Float[Array, " 3"]) -> Float[Array, "3 3"]:
+    """R of a rotation vector, by Rodrigues' formula.
+
+    Args:
+        vector: Axis times angle [rad], shape (3,).
+
+    Returns:
+        Rotation matrix, shape (3, 3).
+
+    **Differentiability**: smooth, at zero too.
+    """
+    square = jnp.sum(vector**2)
+    is_small = square < _SMALL_ANGLE**2
+    safe = jnp.where(is_small, 1.0, square)
+    angle = jnp.sqrt(safe)
+    sine = jnp.where(is_small, 1 - square / 6, jnp.sin(angle) / angle)
+    cosine = jnp.where(is_small, 0.5 - square / 24, (1 - jnp.cos(angle)) / safe)
+    x, y, z = vector
+    zero = jnp.zeros_like(x)
+    K = jnp.stack([zero, -z, y, z, zero, -x, -y, x, zero]).reshape(3, 3)
+    return jnp.eye(3, dtype=K.dtype) + sine * K + cosine * K @ K
 
 
 def rotation_between(
