@@ -28,7 +28,7 @@ TABLES = (
     *("", "cutter", "spindle", "cut", "record", "means", "fit", "force", "stock"),
     *("program", "robot", "load_tests", "ring_down", "frequency_response", "coupled"),
     *("air_path", "machine", "controller", "simulation", "correction", "output"),
-    *("sweep", "draw", "starts"),
+    *("truth", "sweep", "draw", "starts"),
 )
 
 
@@ -86,6 +86,7 @@ KINDS = {
     "PositiveSpeed": Kind("speed above 0", "m/s"),
     "PositiveTime": Kind("time above 0", "s"),
     "Ratio": Kind("number from 0 to 1"),
+    "TurnTolerance": Kind("angle of at least 0", "rad"),
     "Rows": Kind('whole number above 0 or `"auto"`'),
     "Share": Kind("number above 0, up to 1"),
     "Side": Kind('`"slot"`, `"up"` or `"down"`'),

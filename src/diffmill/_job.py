@@ -25,6 +25,7 @@ from .settings.base import Settings
 from .settings.correction import CorrectionSettings
 from .settings.output import OutputSettings
 from .settings.simulation import SimulationSettings
+from .settings.truth import TruthSettings
 from .toolpath import Path, ProgramTiming
 from .workpiece import Stock
 
@@ -41,7 +42,12 @@ def _register(kind: type[Settings]) -> None:
     register_pytree_with_keys(kind, flatten, Settings.with_leaves)
 
 
-for _kind in (CorrectionSettings, OutputSettings, SimulationSettings):
+for _kind in (
+    CorrectionSettings,
+    OutputSettings,
+    SimulationSettings,
+    TruthSettings,
+):
     _register(_kind)
 
 
@@ -82,6 +88,7 @@ class Job(eqx.Module):
             [m], shape (step, 3), for a simulation; None for those of the path.
         nominal: Robot and work as the controller knows them; None if the machine is as
             it knows it.
+        truth: Machines on which the commands of a correction are run, too.
     """
 
     name: str = eqx.field(static=True)
@@ -108,6 +115,7 @@ class Job(eqx.Module):
     timing: ProgramTiming | None = eqx.field(static=True, default=None)
     commanded: FloatRows3 | None = None
     nominal: NominalRobot | None = None
+    truth: TruthSettings = TruthSettings()
 
     def __check_init__(self):
         if self.robot is not None and self.modes is not None:

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from ..sim import Stability
     from ..workpiece import SurfaceError
 
+# Cases whose commands run on drawn machines, besides the corrected one.
+_TRUE_CASES = ("uncorrected", "mirror")
 # xarray and the parts that compute are imported when a job runs.
 Dataset: TypeAlias = Any
 Solution: TypeAlias = Any
@@ -72,6 +74,7 @@ def add_analyses(folder: pathlib.Path, run: FinishedRun, progress: Progress) -> 
             ("stability", _with_stability),
             ("sensitivity", _with_sensitivity),
             ("other machines", _with_mismatch),
+            ("drawn machines", _with_true_errors),
             ("expected error", _with_expected_error),
         ):
             with attempts.at(name):
@@ -212,6 +215,37 @@ def _with_mismatch(run: FinishedRun, progress: Progress) -> Dataset:
     attributes["mismatch_share"] = mismatches[0].share
     lines = _printed(lines, progress)
     return _with_notes(run.dataset.assign_attrs(attributes), lines)
+
+
+def _with_true_errors(run: FinishedRun, progress: Progress) -> Dataset:
+    """Dataset with the errors of the commands on drawn machines, which are printed."""
+    from ..sim import TrueErrors
+
+    job, chosen = run.job, run.dataset.attrs.get("corrected_case")
+    if chosen is None or job.robot is None or job.truth.draws == 0:
+        return run.dataset
+    progress.say(f"{job.truth.draws} machines as [truth] draws them about the model")
+    cases = [name for name in run.solutions if name in _TRUE_CASES or name == chosen]
+    commands = {name: np.asarray(run.solutions[name].commanded) for name in cases}
+    errors = TrueErrors.of_commands(job, job.truth, commands)
+    found = [
+        f"{case} {1e6 * errors.median(case):.3g} [{1e6 * errors.worst(case):.3g}] um"
+        if np.isfinite(errors.worst(case))
+        else f"{case} no result"
+        for case in cases
+    ]
+    line = (
+        f"on {errors.draws} machines drawn about the model ([truth]: reversal, links, "
+        "stiffness, forces) the commands leave "
+        f"{', '.join(found)} rms, median [largest]"
+    )
+    dataset = run.dataset.assign_attrs(
+        truth_draws=errors.draws,
+        truth_rms_median=errors.median(chosen),
+        truth_rms_largest=errors.worst(chosen),
+        truth_rms_uncorrected=errors.median("uncorrected"),
+    )
+    return _with_notes(dataset, _printed([line], progress))
 
 
 def _with_expected_error(run: FinishedRun, progress: Progress) -> Dataset:

@@ -399,6 +399,7 @@ def _assemble(
     correction, output = tables.correction, tables.output
     assert force is not None and block is not None
     assert correction is not None and output is not None
+    assert tables.truth is not None
     law, bottom_law = force.laws(cutter)
     output = _completed_output(output, tables.program, program, path)
     job = Job(
@@ -433,6 +434,7 @@ def _assemble(
         controller=parts.controller,
         timing=None if parts.timed is None else parts.timed.timing,
         commanded=parts.commanded,
+        truth=tables.truth,
     )
     more = end_notes(job, parts.joints)
     return dataclasses.replace(job, notes=(*job.notes, *more))

@@ -52,6 +52,9 @@ Tolerance: TypeAlias = Annotated[
     float, BeforeValidator(_read(q.LENGTH, sign="not negative"))
 ]
 Angle: TypeAlias = Annotated[float, BeforeValidator(_read(q.ANGLE))]
+TurnTolerance: TypeAlias = Annotated[
+    float, BeforeValidator(_read(q.ANGLE, sign="not negative"))
+]
 PositiveTime: TypeAlias = Annotated[
     float, BeforeValidator(_read(q.TIME, sign="positive"))
 ]

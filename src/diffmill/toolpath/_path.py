@@ -6,7 +6,9 @@ from typing import ClassVar
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from .._padding import pad_rows, padded_count
 from .._types import (
@@ -40,6 +42,8 @@ class Path(eqx.Module):
             length that other paths have too. All rows if None.
         tool_x: Unit x of the tool in `work`, across its axis, shape (step, 3); None
             where the program leaves the rotation about the axis open.
+        disturbance: What the machine does there beyond its model, as it was measured
+            [m], shape (step, 3): a run adds it to its deviation. None if not known.
     """
 
     time: FloatSteps
@@ -49,14 +53,15 @@ class Path(eqx.Module):
     line: IntSteps
     row_count: IntScalar | None = None
     tool_x: FloatRows3 | None = None
+    disturbance: FloatRows3 | None = None
 
     # Faster than any cell moves a cutter [m/s].
     UNUSUAL_SPEED: ClassVar[float] = 5.0
 
     def __check_init__(self):
         rows = self.positions.shape[0]
-        for name in ("time", "axes", "is_rapid", "line", "tool_x"):
-            if name == "tool_x" and self.tool_x is None:
+        for name in ("time", "axes", "is_rapid", "line", "tool_x", "disturbance"):
+            if getattr(self, name) is None:
                 continue
             if getattr(self, name).shape[0] != rows:
                 raise ValueError(
@@ -226,6 +231,18 @@ class Path(eqx.Module):
             line=np.asarray(self.line)[at],
             tool_x=None if self.tool_x is None else np.asarray(self.tool_x)[at],
         )
+
+    def disturbed(self, deviation: Float[Array, "step 3"]) -> Float[Array, "step 3"]:
+        """Deviation with what the machine does beyond its model [m], shape (step, 3).
+
+        Args:
+            deviation: Deviation of the model [m], shape (step, 3).
+
+        **Differentiability**: linear.
+        """
+        if self.disturbance is None:
+            return deviation
+        return deviation + jnp.asarray(self.disturbance, deviation.dtype)
 
     @property
     def step_count(self) -> int:

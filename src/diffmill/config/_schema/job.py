@@ -29,6 +29,7 @@ from ...settings.fields import (
 from ...settings.output import OutputSettings
 from ...settings.simulation import SimulationSettings
 from ...settings.tables import TomlTable, meant_by, read_settings, validated
+from ...settings.truth import TruthSettings
 from .compliance import BendingToolTable, FlangeSpringTable
 from .controller import ControllerTable, read_controller
 from .cutter import CutterTable
@@ -253,7 +254,7 @@ class RobotTable(TomlTable):
 
 
 OPTIONAL_TABLES = frozenset(
-    {"spindle", "controller", "simulation", "correction", "output"}
+    {"spindle", "controller", "simulation", "correction", "output", "truth"}
 )
 
 
@@ -276,6 +277,7 @@ class JobTables:
         simulation: `[simulation]`.
         correction: `[correction]`.
         output: `[output]`.
+        truth: `[truth]`.
         stated: Keys that the file states, such as "cutter.teeth".
     """
 
@@ -290,6 +292,7 @@ class JobTables:
     simulation: SimulationSettings | None
     correction: CorrectionSettings | None
     output: OutputSettings | None
+    truth: TruthSettings | None
     stated: frozenset[str]
 
 
@@ -351,6 +354,7 @@ def read_tables(raw: Mapping[str, object], problems: list[str]) -> JobTables:
         simulation=settings(SimulationSettings),
         correction=settings(CorrectionSettings),
         output=settings(OutputSettings),
+        truth=settings(TruthSettings),
         stated=frozenset(
             f"{name}.{key}"
             for name, keys in raw.items()

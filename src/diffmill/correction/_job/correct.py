@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..._job import Job
-from ..._types import FloatRows, readable_signature
+from ..._types import FloatRows, FloatRows3, readable_signature
 from ...optimise import LeastSquaresStep
 from ...process import ThroughPoses
 from ...sim import JobKinematics, Solution, simulate_with_slot_growth
@@ -135,6 +135,8 @@ def correct(
     job: Job,
     *,
     objective: AbstractObjective | None = None,
+    start: FloatRows3 | None = None,
+    disturbance: FloatRows3 | None = None,
     throw: bool = True,
     on_predicted: Callable[[Solution], None] | None = None,
     on_progress: OnProgress | None = None,
@@ -153,6 +155,11 @@ def correct(
         job: The job; its machine must not be rigid.
         objective: The error that is to become small, if it is another one than the job
             knows; the path is then corrected as a whole, however long it is.
+        start: Tip positions from which the optimiser begins [m], shape (step, 3), such
+            as those that cut the last part; no other method then runs. By default the
+            best of the commands that the job compares.
+        disturbance: What the machine does beyond its model, as it was measured [m],
+            shape (step, 3); see `Path.disturbance`, which it takes the place of.
         throw: Whether to raise when the uncorrected run does not succeed.
         on_predicted: Called with the solution of the uncorrected program, before any
             method runs.
@@ -179,7 +186,9 @@ def correct(
 
     Differentiability: runs on the host, not traceable.
     """
-    job = checked_job(job)
+    job = checked_job(_disturbed(job, disturbance))
+    if start is not None:
+        start = _checked_start(job, start)
     if job.commanded is not None:
         raise ValueError("Argument `job` must not have a command of its own, but has.")
     check_objective(objective)
@@ -214,7 +223,7 @@ def correct(
     if is_optimised:
         method = job_optimiser(job, task.objective, task.surface, task.plant)
     inverse = None
-    if job.robot is not None:
+    if job.robot is not None and start is None:
         # A robot without inertia and damping is one that moves without end slowly.
         is_slow = not job.simulation.mode.vibrates
         kinematics = JobKinematics(job)
@@ -226,9 +235,14 @@ def correct(
             T_base_work=kinematics.T_base_work,
             is_gravity_compensated=job.simulation.is_gravity_compensated,
         )
-    _run_baselines(task, record, segments, inverse)
+    if start is None:
+        _run_baselines(task, record, segments, inverse)
+        start = _best_start(task, record, inverse)
+    else:
+        given = GivenCommand(motion=solved_motion(before))
+        record.run("uncorrected", given, task.tips)
     if method is not None:
-        _run_optimiser(task, record, method, segments, inverse)
+        _run_optimiser(task, record, method, segments, start)
     return _compared_cases(task, record)
 
 
@@ -283,9 +297,9 @@ def _run_optimiser(
     record: CaseRecord,
     method: AbstractOptimiser,
     segments: SegmentRows | None,
-    inverse: InverseDriveCommand | None,
+    start: FloatRows,
 ) -> None:
-    """Run the optimiser from the best of the cases before, or from the inverse drive.
+    """Run the optimiser from a start: tips, or joints where these are commanded.
 
     Raises:
         InfeasibleLimit: The program leaves the joints no room, or no correction holds
@@ -293,10 +307,8 @@ def _run_optimiser(
     """
     job, problem = task.job, task.tips
     if job.correction.command == "joint":
-        assert inverse is not None
-        problem, start = task.in_joints(), inverse.motor_positions
+        problem = task.in_joints()
     else:
-        start = min(record.methods.values(), key=task.remaining_error).command
         start = _spread(job, start)
     method = within_joint_limits(method, job, problem)
     # A segment begins where the one before it has ended.
@@ -312,6 +324,45 @@ def _run_optimiser(
             plant.pieces, method, horizon=segments.length, overlap=segments.overlap
         )
     record.run("corrected", search, problem, is_search=True, start=start)
+
+
+def _best_start(
+    task: CorrectionProblem, record: CaseRecord, inverse: InverseDriveCommand | None
+) -> FloatRows:
+    """Best command of the cases so far; the inverse drive's where joints are told."""
+    if task.job.correction.command == "joint":
+        assert inverse is not None
+        return inverse.motor_positions
+    return min(record.methods.values(), key=task.remaining_error).command
+
+
+def _disturbed(job: Job, disturbance: FloatRows3 | None) -> Job:
+    """Job with a measured disturbance, if one is given."""
+    if disturbance is None:
+        return job
+    path = dataclasses.replace(job.path, disturbance=np.asarray(disturbance))
+    return dataclasses.replace(job, path=path)
+
+
+def _checked_start(job: Job, start: FloatRows3) -> FloatRows3:
+    """Start of the optimiser, in the precision of the job.
+
+    Raises:
+        ValueError: It has another shape than the path, joints are commanded, or the job
+            asks for no optimiser.
+    """
+    shape = (job.path.step_count, 3)
+    if np.shape(start) != shape:
+        raise ValueError(
+            f"Argument `start` must have shape {shape}, a row for each of the path's, "
+            f"but has {np.shape(start)}."
+        )
+    if not job.correction.method.is_optimiser or job.correction.command == "joint":
+        raise ValueError(
+            "Argument `start` must be None unless the job asks for an optimiser that "
+            "commands tips."
+        )
+    return np.asarray(start, np.dtype(job.simulation.precision))
 
 
 def _start_on_path(

@@ -60,7 +60,7 @@ def wall_motion(
     if shares is None:
         shares = wall_shares(desired, job.tool_axes, job.cutter)
     deviation = wall_deviation(ends, desired, jnp.asarray(shares, desired.dtype))
-    return Motion(desired + deviation, force)
+    return Motion(desired + job.path.disturbed(deviation), force)
 
 
 class LinearJob(LinearMotion):
@@ -181,6 +181,6 @@ def _linear_job(
     if wall_share is None:
         wall_share = wall_shares(desired, problem.axes, process.cutter)
     shares = jnp.asarray(wall_share, desired.dtype)
-    deviation = wall_deviation(run.ends, desired, shares)
+    deviation = path.disturbed(wall_deviation(run.ends, desired, shares))
     motion = Motion(desired + deviation, run.force)
     return LinearJob(motion, run, slopes, shares, time_step, problem.controller, memory)

@@ -151,7 +151,7 @@ def _shifts(
     run = linearise(machine, process, motors, scaled=model, parameter_count=count)
     still = jnp.zeros((*motors.shape, directions.shape[1]), desired.dtype)
     moved = run.move(still, directions.astype(desired.dtype))
-    at = desired + wall_deviation(run.ends, desired, shares)
+    at = desired + job.path.disturbed(wall_deviation(run.ends, desired, shares))
 
     def across(ends: Float[Array, "step substep 3"]) -> Float[Array, "step 3"]:
         change = wall_deviation(ends, jnp.zeros_like(desired), shares)

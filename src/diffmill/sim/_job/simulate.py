@@ -164,7 +164,7 @@ class Solution(eqx.Module):
             time=on_device(job.path.time),
             desired=on_device(job.path.positions),
             commanded=commanded,
-            actual=ran.actual,
+            actual=job.path.disturbed(ran.actual),
             force=ran.force,
             removed_volume=ran.removed_volume,
             shank_volume=ran.shank_volume,
@@ -637,7 +637,7 @@ def _follow(
         ran = problem.machine.run_rows(process, motors, path.row_count)
         ends = ran.ends
     share = wall_shares(desired, problem.axes, process.cutter, finished)
-    deviation = wall_deviation(ends, desired, share)
+    deviation = path.disturbed(wall_deviation(ends, desired, share))
     error = contour_error(desired + deviation, desired)
     is_arm = ran.joint_positions is not None
     return ran, _Wall(deviation, share, error, motors if is_arm else None)

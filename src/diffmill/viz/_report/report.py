@@ -14,7 +14,8 @@ It reads of a result, besides the variables of `simulate` and `correct`:
   `stability_has_chatter` (1 where vibrations grow), and of those that grow most
   `stability_largest_radius`, `stability_frequency` [Hz]; `mismatch_rms_stiffness` and
   `mismatch_rms_force` [m], the error of the command where these are off by
-  `mismatch_share`;
+  `mismatch_share`; `truth_rms_median`, `truth_rms_largest` and `truth_rms_uncorrected`
+  [m] on `truth_draws` machines;
 - every other attribute is listed as a setting.
 """
 
@@ -79,7 +80,8 @@ _SPECIAL = (
     "incomplete_place",
 )
 _PREFIXES = tuple(
-    f"{kind}_" for kind in ("written", "moved", "stream", "stability", "mismatch")
+    f"{kind}_"
+    for kind in ("written", "moved", "stream", "stability", "mismatch", "truth")
 )
 
 

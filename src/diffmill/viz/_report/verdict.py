@@ -117,6 +117,7 @@ def verdict(dataset: "xarray.Dataset", *, is_complete: bool = True) -> Verdict:
         f"{_mismatch_text(dataset)}; [simulation] scatter or [correction.uncertainty] "
         "tell of one that is not."
     )
+    model += _truth_text(dataset)
     deepest, deepest_place = 0.0, ""
     if "surface_deepest" in dataset:
         deepest = float(select_case(dataset, case)["surface_deepest"])
@@ -246,6 +247,23 @@ def _mismatch_text(dataset: "xarray.Dataset") -> str:
     return (
         f": with all stiffness {share:.0%} off the command leaves {stiffness}, with "
         f"all force coefficients {share:.0%} off {force}"
+    )
+
+
+def _truth_text(dataset: "xarray.Dataset") -> str:
+    """Sentence on the error of the command on machines that are not the model."""
+    if "truth_draws" not in dataset.attrs:
+        return ""
+    median, largest, before = (
+        1e6 * float(dataset.attrs[f"truth_rms_{name}"])
+        for name in ("median", "largest", "uncorrected")
+    )
+    if not np.isfinite(largest):
+        return " On a machine that [truth] draws about the model the run fails."
+    return (
+        f" On {dataset.attrs['truth_draws']:.0f} machines with reversal, links, springs"
+        f" and forces beside the model ([truth]) it leaves {median:.3g} {MICROMETRE} "
+        f"rms, {largest:.3g} on the worst, where the program leaves {before:.3g}."
     )
 
 

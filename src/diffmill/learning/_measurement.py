@@ -1,0 +1,231 @@
+"""What was measured of a part: the tip on its way, or points of the finished part."""
+
+import abc
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int
+
+from .._job import Job
+from .._types import FloatRows3, FloatSteps, RealScalarLike
+from ..sim import Solution
+
+Values = Float[np.ndarray, " observation"]
+
+
+class Seen(eqx.Module):
+    """Scalar observations of the tip's deviation at the wall instants of a path.
+
+    Observation i sees d_i . ((1 - a_i) e[k_i] + a_i e[k_i + 1]), e the deviation.
+
+    Attributes:
+        time: When, along the path [s], shape (observation,).
+        row: k, shape (observation,).
+        share: a, shape (observation,).
+        direction: d, unit vectors, shape (observation, 3).
+        variance: Of the instrument's noise [m^2], shape (observation,).
+        value: What was seen [m], shape (observation,).
+        nuisance: Slopes in what the set-up of the measurement leaves open, in units of
+            its priors, shape (observation, nuisance).
+        is_tracked: Whether all axes are seen in each row, so that each may have a
+            process of its own.
+    """
+
+    time: Values
+    row: Int[np.ndarray, " observation"]
+    share: Values
+    direction: Float[np.ndarray, "observation 3"]
+    variance: Values
+    value: Values
+    nuisance: Float[np.ndarray, "observation nuisance"]
+    is_tracked: bool = eqx.field(static=True)
+
+    def of_rows(self, rows: Float[np.ndarray, "step 3 *more"]) -> np.ndarray:
+        """What would be seen of rows, shape (observation, ...)."""
+        lower, upper = rows[self.row], rows[np.minimum(self.row + 1, len(rows) - 1)]
+        share = self.share.reshape(-1, *[1] * (rows.ndim - 1))
+        between = (1 - share) * lower + share * upper
+        return np.einsum("ia,ia...->i...", self.direction, between)
+
+
+class AbstractMeasurement(eqx.Module):
+    """A measurement of a part that was cut."""
+
+    @abc.abstractmethod
+    def seen(self, job: Job, rigid: Solution) -> Seen:
+        """Scalar observations of the tip's deviation.
+
+        Args:
+            job: The job that was cut.
+            rigid: Solution of its program.
+        """
+
+
+def wall_times(rigid: Solution) -> Values:
+    """Instants at which the walls of the rows are made [s], shape (step,)."""
+    time = np.asarray(rigid.time, np.float64)
+    period = time[1] - time[0]
+    return time + period * (np.asarray(rigid.wall_share, np.float64) - 1)
+
+
+class TrackedTips(AbstractMeasurement):
+    """The tip over time, as a tracker sees it.
+
+    Attributes:
+        time: Since the program began [s], shape (sample,); None for the wall instants
+            of the rows.
+        tips: Tips in `work` [m], shape (sample, 3).
+        noise: Standard deviation of each coordinate [m].
+        offset: That of where the tracker takes the work to be, along each axis [m].
+        turn: That of how it takes it to be turned, about each axis [rad].
+        delay: That of its clock against the program's [s].
+    """
+
+    tips: FloatRows3
+    noise: RealScalarLike
+    time: FloatSteps | None = None
+    offset: RealScalarLike = 0.0
+    turn: RealScalarLike = 0.0
+    delay: RealScalarLike = 0.0
+
+    def seen(self, job: Job, rigid: Solution) -> Seen:
+        """Scalar observations, three for each sample within the program."""
+        instants = wall_times(rigid)
+        desired = np.asarray(rigid.desired, np.float64)
+        program = np.asarray(rigid.time, np.float64)
+        tips = np.asarray(self.tips, np.float64)
+        at = lambda t, rows: np.stack(
+            [np.interp(t, program, rows[:, a]) for a in range(3)], axis=1
+        )
+        if self.time is None:
+            if tips.shape != desired.shape:
+                raise ValueError(
+                    f"Argument `tips` must have shape {desired.shape}, a row for each "
+                    f"of the path's, or a `time`, but has {tips.shape}."
+                )
+            time, away = instants, tips - desired
+            row, share = np.arange(len(tips)), np.zeros(len(tips))
+        else:
+            time = np.asarray(self.time, np.float64)
+            if tips.shape != (len(time), 3) or not np.all(np.diff(time) > 0):
+                raise ValueError(
+                    "Arguments `time` and `tips` must have the same rows, in the order "
+                    f"of time, but have shapes {time.shape} and {tips.shape}."
+                )
+            # Before the first wall and after the last nothing is predicted.
+            inside = (time >= instants[1]) & (time <= instants[-1])
+            time, away = time[inside], tips[inside] - at(time[inside], desired)
+            row = np.clip(np.searchsorted(instants, time) - 1, 0, len(instants) - 2)
+            share = (time - instants[row]) / (instants[row + 1] - instants[row])
+        place = at(time, desired)
+        velocity = at(time, np.gradient(desired, program, axis=0))
+        count = len(time)
+        arm = place - place.mean(axis=0)
+        nuisance = np.zeros((count, 3, 7))
+        for a in range(3):
+            nuisance[:, a, a] = float(self.offset)
+            axis = np.eye(3)[a]
+            nuisance[:, :, 3 + a] = float(self.turn) * np.cross(axis, arm)
+        nuisance[:, :, 6] = float(self.delay) * velocity
+        used = nuisance.any(axis=(0, 1))
+        return Seen(
+            time=np.repeat(time, 3),
+            row=np.repeat(row, 3),
+            share=np.repeat(share, 3),
+            direction=np.tile(np.eye(3), (count, 1)),
+            variance=np.full(3 * count, float(self.noise) ** 2),
+            value=away.reshape(-1),
+            nuisance=nuisance.reshape(3 * count, 7)[:, used],
+            is_tracked=True,
+        )
+
+
+class WallPoints(AbstractMeasurement):
+    """Points of a finished part with the normals of its walls and floors.
+
+    A point has no time: its row is the one at which the tool, touching the ideal
+    surface, is nearest to it.
+
+    Attributes:
+        points: Measured points in `work` [m], shape (point, 3).
+        normals: Unit normals out of the material, shape (point, 3).
+        noise: Standard deviation of each distance along the normal [m].
+        offset: That of where the instrument takes the work to be, along each axis [m].
+    """
+
+    points: FloatRows3
+    normals: FloatRows3
+    noise: RealScalarLike
+    offset: RealScalarLike = 0.0
+
+    def seen(self, job: Job, rigid: Solution) -> Seen:
+        """One scalar observation for each point of a wall or floor."""
+        points = np.asarray(self.points, np.float64)
+        normals = np.asarray(self.normals, np.float64)
+        normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
+        desired = np.asarray(rigid.desired, np.float64)
+        cuts = np.flatnonzero(np.asarray(rigid.is_cutting))
+        segments = cuts[cuts + 1 < len(desired)]
+        if not len(segments):
+            raise ValueError("Argument `job` must have a program that cuts.")
+        radius = float(job.cutter.nominal_radius)
+        # The tip of a tool that touches the point: beside a wall, above a floor.
+        side = normals.copy()
+        side[:, 2] = 0.0
+        length = np.linalg.norm(side, axis=1, keepdims=True)
+        is_wall = length[:, 0] > 0.5
+        tip = points + np.where(
+            is_wall[:, None], radius * side / np.maximum(length, 1e-12), 0.0
+        )
+        start, way = desired[segments], desired[segments + 1] - desired[segments]
+        square = np.maximum(np.sum(way**2, axis=1), 1e-30)
+        rows, shares, values = [], [], []
+        for k, p in enumerate(tip):
+            # Along a wall the height does not tell the row, on a floor the place does.
+            weight = np.array([1.0, 1.0, 0.0]) if is_wall[k] else np.ones(3)
+            along = np.clip(np.sum((p - start) * way * weight, axis=1) / square, 0, 1)
+            near = start + along[:, None] * way
+            away = np.sum(((p - near) * weight) ** 2, axis=1)
+            if is_wall[k]:
+                # The pose that cut the point last reaches down to it.
+                away = away + np.where(near[:, 2] > points[k, 2] + 1e-6, np.inf, 0.0)
+            i = int(np.argmin(away))
+            if not np.sqrt(away[i]) < radius:
+                raise ValueError(
+                    f"Argument `points` must lie on what the program cuts, but point "
+                    f"{k} is {1e3 * np.sqrt(away[i]):.2f} mm beside it."
+                )
+            rows.append(segments[i])
+            shares.append(along[i])
+            values.append(np.dot(p - near[i], normals[k]))
+        row, share = np.array(rows), np.array(shares)
+        instants = wall_times(rigid)
+        time = (1 - share) * instants[row] + share * instants[row + 1]
+        order = np.argsort(time, kind="stable")
+        has_offset = float(self.offset) > 0
+        return Seen(
+            time=time[order],
+            row=row[order],
+            share=share[order],
+            direction=normals[order],
+            variance=np.full(len(order), float(self.noise) ** 2),
+            value=np.array(values)[order],
+            nuisance=(float(self.offset) * normals[order])[:, : 3 * has_offset],
+            is_tracked=False,
+        )
+
+
+class Part(eqx.Module):
+    """A part that was cut and measured.
+
+    Attributes:
+        commanded: Tips that were commanded [m], shape (step, 3).
+        measured: What was measured of it.
+    """
+
+    commanded: FloatRows3
+    measured: AbstractMeasurement
+
+    def __post_init__(self):
+        object.__setattr__(self, "commanded", jnp.asarray(self.commanded))

@@ -1,0 +1,317 @@
+"""Parameters of a machine that may be wrong, in units of their priors."""
+
+import dataclasses
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._job import Job
+from .._types import FloatRows
+from ..process import FrozenStock, wall_deviation
+from ..robot import Robot
+from ..sim import JobKinematics, MachiningProblem, linearise, mismatched
+
+# Rate above which a joint of a robot without friction of its own slides [rad/s or m/s].
+_FRICTION_SPEED = 2e-3
+# Width of the rounded corners of a gap, as a share of it: of runs, and of their slopes.
+# Slopes at a sharp corner hold for a micrometre, and mislead a search that goes on.
+_CORNER, _SMOOTH_CORNER = 0.2, 1.0
+# Gaps below this share of their prior are none; slopes are taken at no less than
+# `_LEAST_SLOPE`, since a gap of nothing has none.
+_LEAST_GAP, _LEAST_SLOPE = 0.02, 0.3
+
+Rows3 = Float[np.ndarray, "step 3"]
+
+
+class MachinePrior(eqx.Module):
+    """Sizes of what may be wrong in a model, before a part is measured.
+
+    Standard deviations, of friction and gaps half-normal. One value for all joints, or
+    one each.
+
+    Attributes:
+        stiffness: Of the logarithm of each joint's stiffness [-].
+        damping: Of the logarithm of each joint's damping [-].
+        force: Of the logarithm of all force coefficients together [-].
+        coefficient: Of that of each coefficient besides [-].
+        friction: Of the Coulomb friction of each joint, as the angle by which it bends
+            the joint's spring [rad or m].
+        backlash: Of the gap of each joint [rad or m].
+        offset: Of the tip's error all over the work, along each axis [m].
+        gradient: Of how that error grows over the work, each component [-].
+    """
+
+    stiffness: float | tuple[float, ...] = 0.1
+    damping: float | tuple[float, ...] = 0.2
+    force: float = 0.2
+    coefficient: float = 0.07
+    friction: float | tuple[float, ...] = 2e-5
+    backlash: float | tuple[float, ...] = 3e-5
+    offset: float = 3e-5
+    gradient: float = 2e-4
+
+
+class Group(NamedTuple):
+    """Parameters of one kind, one after the other.
+
+    Attributes:
+        name: "stiffness", "damping", "force", "friction", "backlash" or "field".
+        first: Index of the first one.
+        count: How many there are.
+    """
+
+    name: str
+    first: int
+    count: int
+
+    @property
+    def index(self) -> np.ndarray:
+        """Indices of the parameters."""
+        return np.arange(self.first, self.first + self.count)
+
+
+class AdaptableMachine(eqx.Module):
+    """A job whose machine follows from parameters, in units of their priors.
+
+    The controller goes on taking the machine for the job's own, and the work is touched
+    off anew with every machine.
+
+    Attributes:
+        base: The job; its controller knows the model.
+        sizes: Standard deviations of the priors, shape (parameter,).
+        center: Point of the work about which the field turns [m], shape (3,).
+        groups: The parameters by kind; the field is the last.
+        names: Names of the parameters.
+    """
+
+    base: Job
+    sizes: Float[np.ndarray, " parameter"]
+    center: Float[np.ndarray, " 3"]
+    groups: tuple[Group, ...] = eqx.field(static=True)
+    names: tuple[str, ...] = eqx.field(static=True)
+    common_force: float = eqx.field(static=True)
+
+    @classmethod
+    def of_job(cls, job: Job, prior: MachinePrior) -> "AdaptableMachine":
+        """Machine of a job that has a robot.
+
+        Args:
+            job: The job, in its precision.
+            prior: Sizes of its parameters.
+        """
+        assert job.robot is not None
+        base = mismatched(job, job) if job.nominal is None else job
+        robot, law = job.robot, job.law
+        joints, coefficients = robot.joint_names, law.parameter_names
+        each = lambda size: np.broadcast_to(np.asarray(size, np.float64), len(joints))
+        motors = robot.motor_mask()
+        spring = np.where(motors, np.asarray(robot.joint_stiffness, np.float64), 0.0)
+        exponents = [name.startswith("m_") for name in coefficients]
+        kinds = {
+            "stiffness": (each(prior.stiffness), [f"K {n}" for n in joints]),
+            "damping": (each(prior.damping), [f"D {n}" for n in joints]),
+            "force": (
+                # One more: what all of them have in common. Exponents stay.
+                np.r_[prior.force, np.where(exponents, 0.0, prior.coefficient)],
+                ["force", *coefficients],
+            ),
+            "friction": (
+                each(prior.friction) * spring,
+                [f"friction {n}" for n in joints],
+            ),
+            "backlash": (
+                np.where(motors, each(prior.backlash), 0.0),
+                [f"backlash {n}" for n in joints],
+            ),
+            "field": (
+                np.r_[np.full(3, prior.offset), np.full(9, prior.gradient)],
+                [
+                    *(f"offset {a}" for a in "xyz"),
+                    *(f"gradient {a}{b}" for a in "xyz" for b in "xyz"),
+                ],
+            ),
+        }
+        groups, first = [], 0
+        for name, (sizes, _) in kinds.items():
+            groups.append(Group(name, first, len(sizes)))
+            first += len(sizes)
+        positions = np.asarray(job.path.positions, np.float64)
+        return cls(
+            base=base,
+            sizes=np.concatenate([sizes for sizes, _ in kinds.values()]),
+            center=0.5 * (positions.min(axis=0) + positions.max(axis=0)),
+            groups=tuple(groups),
+            names=tuple(name for _, names in kinds.values() for name in names),
+            common_force=prior.force,
+        )
+
+    @property
+    def count(self) -> int:
+        """Number of parameters."""
+        return len(self.names)
+
+    def group(self, name: str) -> Group:
+        """Group of a name."""
+        return next(group for group in self.groups if group.name == name)
+
+    @property
+    def is_free(self) -> np.ndarray:
+        """True for parameters whose prior is not zero, shape (parameter,)."""
+        return self.sizes > 0
+
+    @property
+    def lower(self) -> Float[np.ndarray, " parameter"]:
+        """Lower bounds: friction and gaps are not negative, shape (parameter,)."""
+        bounds = np.full(self.count, -np.inf)
+        for name in ("friction", "backlash"):
+            bounds[self.group(name).index] = 0.0
+        return bounds
+
+    def job_at(self, x: Float[np.ndarray, " parameter"]) -> Job:
+        """Job with the machine of some parameters, touched off.
+
+        Args:
+            x: Parameters in units of their priors, shape (parameter,).
+        """
+        return _touched_off(self, jnp.asarray(x), _CORNER)
+
+    def field(self, x: Float[np.ndarray, " parameter"], at: Rows3) -> Rows3:
+        """Error of the tip at points of the work by the field alone [m]."""
+        return np.einsum("kap,p->ka", self.field_columns(at), x)
+
+    def field_columns(self, at: Rows3) -> Float[np.ndarray, "step 3 parameter"]:
+        """Slopes of the tip at points of the work in the field's parameters [m]."""
+        group = self.group("field")
+        arm = np.asarray(at, np.float64) - self.center
+        columns = np.zeros((len(arm), 3, self.count))
+        for a in range(3):
+            columns[:, a, group.first + a] = 1.0
+            for b in range(3):
+                columns[:, a, group.first + 3 + 3 * a + b] = arm[:, b]
+        return columns * self.sizes
+
+    def columns(
+        self,
+        x: Float[np.ndarray, " parameter"],
+        commanded: FloatRows,
+        shares: Float[Array, " step"],
+    ) -> Float[np.ndarray, "step 3 parameter"]:
+        """Slopes of the tip at the wall instants of a run in the parameters [m].
+
+        One linear system of the run carries all parameters at once.
+
+        Args:
+            x: Parameters, shape (parameter,).
+            commanded: Commanded tips [m], shape (step, 3).
+            shares: When in each period the wall is made, shape (step,).
+        """
+        at = x.copy()
+        gaps = self.group("backlash").index
+        at[gaps] = np.maximum(at[gaps], _LEAST_SLOPE)
+        job = _touched_off(self, jnp.asarray(at), _SMOOTH_CORNER)
+        known, command = JobKinematics(job), jnp.asarray(commanded)
+        joints, _ = known.joints(command)
+        motors = known.motor_positions_from_joints(joints)
+        slopes = known.motor_slopes(joints, command)
+        found = _columns(self, job, jnp.asarray(at), motors, slopes, shares)
+        return np.asarray(found) + self.field_columns(np.asarray(job.path.positions))
+
+
+def _robot_at(robot: Robot, friction: Array, backlash: Array, corner: float) -> Robot:
+    """Robot with more friction and gaps than its own."""
+    coulomb, viscous = friction, jnp.zeros_like(friction)
+    speed, presliding = jnp.full_like(friction, _FRICTION_SPEED), None
+    if robot.friction is not None:
+        own = robot.friction
+        coulomb, viscous = own.coulomb + friction, own.viscous
+        speed, presliding = own.speed, own.presliding
+    gap = backlash if robot.backlash is None else robot.backlash.gap + backlash
+    robot = robot.with_friction(coulomb, viscous, speed, presliding=presliding)
+    return robot.with_backlash(gap, corner=corner)
+
+
+def _machine_at(machine: AdaptableMachine, x: Array, corner: float) -> Job:
+    """Job with the machine of some parameters, its frame as it was."""
+    job = machine.base
+    values = dict(
+        zip(
+            (group.name for group in machine.groups),
+            jnp.split(x * machine.sizes, [g.first for g in machine.groups[1:]]),
+            strict=True,
+        )
+    )
+    force = values["force"][0] + values["force"][1:]
+    # No speed is learnt: the spindle holds its own.
+    logs = [values["stiffness"], values["damping"], force, jnp.zeros(1)]
+    scaled = dataclasses.replace(job, nominal=None).with_scaled(jnp.concatenate(logs))
+    assert scaled.robot is not None
+    gap = values["backlash"]
+    is_gap = x[machine.group("backlash").index] > _LEAST_GAP
+    robot = _robot_at(
+        scaled.robot,
+        jnp.maximum(values["friction"], 0.0),
+        jnp.where(is_gap, gap, 0.0),
+        corner,
+    )
+    return dataclasses.replace(scaled, robot=robot, nominal=job.nominal)
+
+
+@eqx.filter_jit
+def _frame_at(machine: AdaptableMachine, x: Array, corner: Array) -> tuple[Job, Array]:
+    job = _machine_at(machine, x, corner)
+    return job.robot, job.law, job.bottom_law, job.touched_off().T_base_work
+
+
+def _touched_off(machine: AdaptableMachine, x: Array, corner: float) -> Job:
+    robot, law, bottom, frame = _frame_at(machine, x, jnp.asarray(corner))
+    return dataclasses.replace(
+        machine.base, robot=robot, law=law, bottom_law=bottom, T_base_work=frame
+    )
+
+
+@eqx.filter_jit
+def _columns(
+    machine: AdaptableMachine,
+    job: Job,
+    x: Array,
+    motors: Float[Array, "step joint"],
+    slopes: Float[Array, "step joint 3"],
+    shares: Float[Array, " step"],
+) -> Float[Array, "step 3 parameter"]:
+    count, controller = machine.count, job.controller
+    period = job.tooth_period
+
+    def at(change):
+        moved = _machine_at(machine, x + change, jnp.asarray(_SMOOTH_CORNER))
+        moved = dataclasses.replace(moved, T_base_work=job.T_base_work)
+        problem = MachiningProblem.of(moved, FrozenStock())
+        return problem.machine, problem.process
+
+    def frame(change):
+        moved = _machine_at(machine, x + change, jnp.asarray(_SMOOTH_CORNER))
+        return job.nominal.touch_off(moved.robot)
+
+    none = jnp.zeros(count, motors.dtype)
+    machine_now, process = at(none)
+    T, dT = frame(none), jax.jacfwd(frame)(none)
+    R, dR, dt = T[:3, :3], dT[:3, :3], dT[:3, 3]
+    desired = jnp.asarray(job.path.positions)
+    # A frame that moves under a tip is a tip that moves in the frame.
+    moved = jnp.einsum("bap,bc,kc->kap", dR, R, desired)
+    moved = moved - jnp.einsum("ba,bp->ap", R, dt)[None]
+    changes = jnp.einsum("kja,kap->kjp", slopes, moved)
+    if controller is not None:
+        motors, changes = (controller.motors(y, period) for y in (motors, changes))
+
+    def scaled(around, change):
+        moved, process = at(change)
+        return around._replace(machine=moved, process=process)
+
+    run = linearise(machine_now, process, motors, scaled=scaled, parameter_count=count)
+    ends = run.move(changes, jnp.eye(count, dtype=motors.dtype)).ends
+    of = lambda ends: wall_deviation(ends, jnp.zeros_like(desired), shares)
+    return jax.vmap(of, in_axes=-1, out_axes=-1)(ends)
