@@ -3,6 +3,7 @@
 import gc
 import os
 import pathlib
+import signal
 import zlib
 from collections.abc import Iterator
 
@@ -83,6 +84,22 @@ def _drop_many_programs() -> None:
     maps = pathlib.Path("/proc/self/maps")
     if maps.is_file() and maps.read_bytes().count(b"\n") > _MOST_MAPPINGS:
         jax.clear_caches()
+
+
+@pytest.fixture
+def obeyed_interrupts() -> Iterator[None]:
+    """Let SIGINT interrupt: what a shell starts in the background ignores it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.fixture
+def here(tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch) -> pathlib.Path:
+    """Return a folder of its own, which is the current one; tests share a cache."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path.parent / "cache"))
+    return tmp_path
 
 
 @pytest.fixture

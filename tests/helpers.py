@@ -1,5 +1,8 @@
 """What several test modules share: references in NumPy, without dexels or JAX."""
 
+import subprocess
+import sys
+
 import numpy as np
 
 import diffmill.cutting as cutting
@@ -22,6 +25,34 @@ class ThroughSamples(process.AbstractAdjoint):
 
     def with_pose_derivatives(self, track, raw):
         del track, raw
+
+
+def assert_adjoints_agree(derivative, *adjoints, **tolerances):
+    """Compare a derivative by some adjoints with that through samples."""
+    plain = derivative(ThroughSamples())
+    scale = float(np.abs(plain).max())
+    assert scale > 0
+    for adjoint in adjoints or (process.ThroughRays(), process.ThroughPoses()):
+        found = derivative(adjoint)
+        limits = {"rtol": 1e-9, "atol": 1e-9 * scale} | tolerances
+        np.testing.assert_allclose(found, plain, **limits)
+
+
+def names(folder):
+    """Return the names in a folder, sorted."""
+    return sorted(path.name for path in folder.iterdir())
+
+
+def cut_rms(run):
+    """Return the contour error of a run or a case of it where the tool cuts [m]."""
+    error = np.asarray(run.contour_error)[np.asarray(run.is_cutting).astype(bool)]
+    return float(np.sqrt(np.mean(error**2)))
+
+
+def python(code, **options):
+    """Return a process that has run some code."""
+    line = [sys.executable, "-c", code]
+    return subprocess.run(line, capture_output=True, text=True, **options)
 
 
 def relative(found, wanted):

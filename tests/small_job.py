@@ -70,6 +70,22 @@ def _value(value: Any) -> str:
     return str(float(value)) if isinstance(value, float) else json.dumps(value)
 
 
+def arm_text(*elements: Mapping[str, Any], name: str = "arm") -> str:
+    """Text of a robot file of some elements."""
+    return toml({"name": name}) + "".join(f"[[elements]]\n{toml(x)}" for x in elements)
+
+
+def slide(name: str, axis: int, **keys: Any) -> dict[str, Any]:
+    """A slide along an axis, of which 0 is x, with more keys."""
+    way = [int(k == axis) for k in range(3)]
+    return {"kind": "prismatic", "name": name, "axis": way, **keys}
+
+
+def body(mass: str, **keys: Any) -> dict[str, Any]:
+    """A body with moments of inertia of 1 kg m^2."""
+    return {"kind": "body", "mass": mass, "inertia": 3 * ["1 kg*m^2"], **keys}
+
+
 def job_text(*changes: Mapping[str, Any]) -> str:
     """Text of the small job with other values by key, such as "cutter.teeth".
 

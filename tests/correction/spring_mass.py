@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from diffmill.correction import Motion
+from diffmill.correction import Motion, Problem
 
 
 class SpringMass(eqx.Module):
@@ -123,3 +123,10 @@ def rounded_square(time_step, side=20e-3, radius=2e-3, speed=50e-3, rise=0.1):
         outward = -radius * left
         points[k] = [*(begin + outward + offset + turn), 0.0]
     return t, points, (s > 0) & (s < length)
+
+
+def square_problem(time_step, **plant):
+    """Return the soft arm on the rounded square, of which what cuts counts."""
+    _, path, is_cutting = rounded_square(time_step)
+    arm = soft_arm(time_step, **plant)
+    return Problem(arm, path, path, is_cutting * 1.0, time_step)
