@@ -21,6 +21,12 @@ def motion(text, **setup):
     ]
 
 
+def sampled(program, period=0.01):
+    return sample_program(
+        program, period, acceleration=1.0, rapid_feed=0.1, corner_tolerance=0.0
+    )
+
+
 def faults(text, **setup):
     with pytest.raises(ProgramError) as caught:
         parse_gcode(text, setup=ProgramSetup(**setup))
@@ -45,9 +51,7 @@ def test_rest_takes_its_time():
     assert [move.rest for move in program.moves if move.rest] == [0.5, 0.25]
     timed = [move.duration for move in program.timed_moves if move.duration]
     assert timed == [0.5, 0.25]
-    path = sample_program(
-        program, 0.01, acceleration=1.0, rapid_feed=0.1, corner_tolerance=0.0
-    )
+    path = sampled(program)
     still = (path.positions[1:] == path.positions[:-1]).all(axis=1).sum()
     assert still == pytest.approx(75, abs=3)
 
@@ -63,36 +67,26 @@ def test_rest_takes_its_time():
     ],
 )
 def test_arcs_of_all_planes_turn_about_their_axis(plane, arc, end, centre, normal):
-    (move,) = parse_gcode(f"{plane} F60\n{arc}").moves
+    program = parse_gcode(f"{plane} F60\n{arc}")
+    (move,) = program.moves
     assert [round(v / MM, 9) for v in move.end] == list(end)
     assert move.normal == normal
     assert move.centre is not None
     assert [round(v / MM, 9) for v in move.centre] == list(centre)
     assert move.radii == pytest.approx((MM, MM))
-    path = sample_program(
-        parse_gcode(f"{plane} F60\n{arc}"),
-        0.01,
-        acceleration=1.0,
-        rapid_feed=0.1,
-        corner_tolerance=0.0,
-    )
-    across = np.asarray(path.positions) - np.array(move.centre)
+    across = np.asarray(sampled(program).positions) - np.array(move.centre)
     across = across - (across @ normal)[:, None] * [normal]
     assert (across**2).sum(axis=1) == pytest.approx(MM**2, rel=1e-9)
 
 
 def test_turns_of_a_helix():
-    (move,) = parse_gcode("F60 G3 I1 Z3 P3").moves
+    program = parse_gcode("F60 G3 I1 Z3 P3")
+    (move,) = program.moves
     assert move.sweep == pytest.approx(6 * math.pi)
     assert move.length == pytest.approx(math.hypot(6 * math.pi, 3) * MM)
-    path = sample_program(
-        parse_gcode("F60 G3 I1 Z3 P3"),
-        0.001,
-        acceleration=1.0,
-        rapid_feed=0.1,
-        corner_tolerance=0.0,
+    assert sampled(program, 0.001).duration == pytest.approx(
+        move.length / 1e-3, rel=1e-2
     )
-    assert path.duration == pytest.approx(move.length / 1e-3, rel=1e-2)
 
 
 def test_drilling_goes_back_to_the_plane_that_is_asked_for():
@@ -330,22 +324,3 @@ def test_one_of_several_tools_is_chosen():
     assert first.spindle_speeds == pytest.approx((1000 * rpm,))
     with pytest.raises(ValueError):
         program.of_tool(3)
-
-
-@pytest.mark.parametrize(
-    ("text", "line", "word"),
-    [
-        ("G0 X1\nG41 D1 X2", 2, "G41"),
-        ("G0 X1\nM98 P10", 2, "M98"),
-        ("G0 X1\no1 call", 2, "o1call"),
-        ("G0 X1\n#1=[2+3]", 2, "#1=[2+3]"),
-        ("G68 X0 Y0 R45\nG0 X1", 1, "G68"),
-        ("G0 X1\nG10 L1 P1 Z2", 2, "G10"),
-        ("G0 X1\nG81 X2 Z-1 F9", 2, "G81"),
-        ("G0 X1 Z5\nG81 X2 Z3 R1 F9", 2, "G81"),
-        ("G0 X1 Q5", 1, "Q5"),
-        ("G0 X1 U2", 1, "U2"),
-    ],
-)
-def test_refusals(text, line, word):
-    assert faults(text)[0] == (line, word)

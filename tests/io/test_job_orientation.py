@@ -10,19 +10,15 @@ from diffmill import load_job
 from diffmill.cli import main
 from diffmill.robot import forward_kinematics
 from diffmill.sim import JobKinematics
-from small_job import job_text, problems_of
+from small_job import problems_of, write_job
 
-JOB = job_text(
-    {
-        "stock.lower": ["0 mm", "-20 mm", "-8 mm"],
-        "stock.upper": ["5 mm", "20 mm", "0 mm"],
-        "stock.spacing": "0.25 mm",
-        "program": None,
-        "robot": None,
-    }
-)
-ARM = 'model = "kuka_kr210_like"'
-WORK = 'work_in_base = { position = ["1800 mm", "0 mm", "900 mm"] }'
+JOB = {
+    "stock.lower": ["0 mm", "-20 mm", "-8 mm"],
+    "stock.upper": ["5 mm", "20 mm", "0 mm"],
+    "stock.spacing": "0.25 mm",
+}
+ARM = {"model": "kuka_kr210_like"}
+PLACED = ARM | {"work_in_base": {"position": ["1800 mm", "0 mm", "900 mm"]}}
 BASE = "$BASE={X 1800,Y 0,Z 900,A 90,B 0,C 0}"
 
 
@@ -35,11 +31,13 @@ def krl(angles, frames=""):
 
 @pytest.fixture
 def write(tmp_path):
-    def write(text, robot="rigid = true", program="", name="part.src"):
+    def write(text, robot=None, name="part.src", **changes):
         (tmp_path / name).write_text(text)
-        lines = ["[program]", f'file = "{name}"', program, "[robot]", robot]
-        (tmp_path / "job.toml").write_text(JOB + "\n".join(lines))
-        return tmp_path / "job.toml"
+        changes = {key.replace("_", ".", 1): one for key, one in changes.items()}
+        machine = {"robot": robot or {"rigid": True}, "program.file": name}
+        file = write_job(tmp_path, JOB, machine, changes)
+        (tmp_path / name).write_text(text)
+        return file
 
     return write
 
@@ -53,11 +51,11 @@ def test_the_arm_takes_the_rotation_that_the_program_states(write):
     """Angles 0, 180, 0 stand for half a turn of the last joint against 0, 0, 180."""
     joints, tool_x = [], []
     for angles, rotation in (
-        ((0, 0, 180), ""),
-        ((0, 180, 0), ""),
-        ((0, 180, 0), '\ntool_rotation = "fixed"'),
+        ((0, 0, 180), {}),
+        ((0, 180, 0), {}),
+        ((0, 180, 0), {"tool_rotation": "fixed"}),
     ):
-        job = load_job(write(krl(angles), f"{ARM}\n{WORK}{rotation}"))
+        job = load_job(write(krl(angles), PLACED | rotation))
         q = joints_of(job)
         joints.append(np.degrees(q[0]))
         assert job.robot is not None
@@ -83,10 +81,13 @@ def test_the_base_of_a_program_is_the_place_of_its_work(write):
 
 def test_base_and_tool_of_program_and_job_are_compared(write):
     frames = BASE.replace("1800", "1790") + "\n$TOOL={X 10,Y 0,Z 150,A 0,B 0,C 0}"
-    tool = 'tool_in_flange = { position = ["0 mm", "0 mm", "150 mm"], rpy = [%s] }'
-    turn = '"180 deg", "0 deg", "0 deg"'
+    tool = {
+        "position": ["0 mm", "0 mm", "150 mm"],
+        "rpy": ["180 deg", "0 deg", "0 deg"],
+    }
+    robot = PLACED | {"tool_in_flange": tool}
     text = krl((0, 0, 180), frames)
-    notes = load_job(write(text, f"{ARM}\n{WORK}\n{tool % turn}")).notes
+    notes = load_job(write(text, robot)).notes
     (base,) = (note for note in notes if "work_in_base" in note)
     assert "lies 10 mm from" in base and "turned by 90 deg" in base
     (found,) = (note for note in notes if "tool_in_flange" in note)
@@ -94,12 +95,12 @@ def test_base_and_tool_of_program_and_job_are_compared(write):
     equal = (
         text.replace("X 10,Y", "X 0,Y").replace("1790", "1800").replace("A 90", "A 0")
     )
-    notes = load_job(write(equal, f"{ARM}\n{WORK}\n{tool % turn}")).notes
+    notes = load_job(write(equal, robot)).notes
     assert not any("_in_" in note for note in notes)
 
 
 def test_a_rotation_that_no_program_states_is_refused(write):
-    robot = f'{ARM}\n{WORK}\ntool_rotation = "program"'
+    robot = PLACED | {"tool_rotation": "program"}
     text = "G90 G0 X-6 Y0 Z1\nG1 Z-1 F600\nX2"
     (problem,) = problems_of(write(text, robot, name="part.ngc"))
     assert '[robot] tool_rotation: found "program"' in problem
@@ -110,7 +111,7 @@ def test_a_rotation_that_no_program_states_is_refused(write):
 
 def test_a_tool_that_turns_about_its_axis_on_the_spot_is_refused(write):
     text = krl((0, 0, 180)).replace("LIN {X 2}", "LIN {A 40}\nLIN {X 2}")
-    (problem,) = problems_of(write(text, f"{ARM}\n{WORK}"))
+    (problem,) = problems_of(write(text, PLACED))
     assert "part.src, line 6: the tool turns about its axis on the spot" in problem
     # A machine that is rigid has no arm that would turn.
     assert load_job(write(text)).path.tool_x is not None
@@ -120,18 +121,18 @@ def test_a_cutter_that_lies_flat_or_points_up_is_noted(write):
     flat = krl((0, 90, 0))
     (note,) = (n for n in load_job(write(flat)).notes if "the cutter lies flat" in n)
     assert "90.0 deg" in note
-    upright = load_job(write(flat, program='tool_axis = "x"'))
+    upright = load_job(write(flat, program_tool_axis="x"))
     assert upright.path.is_upright and upright.output.tool_axis == "x"
     assert not any("cutter" in note for note in upright.notes)
     up = "time_s,x_mm,y_mm,z_mm,i,j,k\n0,-6,0,1,0,0,-1\n1,2,0,-1,0,0,-1\n"
     job = load_job(write(up, name="part.csv"))
     assert any("points up" in note and "180.0 deg" in note for note in job.notes)
-    turned = load_job(write(up, program='tool_axis = "z"', name="part.csv"))
+    turned = load_job(write(up, name="part.csv", program_tool_axis="z"))
     # How a path states its axis says nothing of the tool that a program is written for.
     assert turned.path.is_upright and turned.output.tool_axis == "z"
-    chosen = write(up, 'rigid = true\n[output]\ntool_axis = "x"', name="part.csv")
+    chosen = write(up, name="part.csv", output_tool_axis="x")
     assert load_job(chosen).output.tool_axis == "x"
-    (problem,) = problems_of(write(up, program='tool_axis = "x"', name="part.csv"))
+    (problem,) = problems_of(write(up, name="part.csv", program_tool_axis="x"))
     assert 'the tool axis "x"; allowed for path as CSV: z, -z' in problem
 
 

@@ -11,29 +11,23 @@ import pytest
 from diffmill import load_job, robot as rb
 from diffmill.examples import copy_example
 from diffmill.sim import JobKinematics
-from small_job import SLOT, SLOT_STOCK, problems_of, write_job
+from small_job import (
+    SLOT,
+    SLOT_STOCK,
+    arm_text,
+    body,
+    problems_of,
+    slide,
+    write_job,
+)
 
 # Three slides along the axes of the base, and a tool that they cannot turn.
-SLIDES = "".join(
-    f"""
-[[elements]]
-kind = "prismatic"
-name = "{name}"
-axis = {axis}
-stiffness = "1e6 N/m"
-lower = "-1 m"
-upper = "{upper}"
-home = "-10 mm"
-[[elements]]
-kind = "body"
-mass = "5 kg"
-inertia = ["1 kg*m^2", "1 kg*m^2", "1 kg*m^2", "0 kg*m^2", "0 kg*m^2", "0 kg*m^2"]
-"""
-    for name, axis, upper in (
-        ("x", [1.0, 0.0, 0.0], "5 mm"),
-        ("y", [0.0, 1.0, 0.0], "1 m"),
-        ("z", [0.0, 0.0, 1.0], "-0.2 mm"),
-    )
+SLIDE = {"stiffness": "1e6 N/m", "lower": "-1 m"}
+SLIDES = arm_text(
+    *(slide("x", 0, **SLIDE, upper="5 mm", home="-10 mm"), body("5 kg")),
+    *(slide("y", 1, **SLIDE, upper="1 m", home="-10 mm"), body("5 kg")),
+    *(slide("z", 2, **SLIDE, upper="-0.2 mm", home="-10 mm"), body("5 kg")),
+    name="slides",
 )
 
 
@@ -48,7 +42,7 @@ def write(tmp_path):
     """Write a job with a robot table beside its program; return its path."""
 
     def write(robot, program=SLOT):
-        (tmp_path / "slides.toml").write_text(f'name = "slides"\n{SLIDES}')
+        (tmp_path / "slides.toml").write_text(SLIDES)
         tables = SLOT_STOCK | {"cutter.flute_length": "22 mm", "robot": {}}
         file = write_job(tmp_path, tables, program=program)
         file.write_text(file.read_text() + robot)
@@ -98,31 +92,13 @@ def test_a_nearly_singular_pose_is_a_note(write):
         assert part in note
 
 
-SPRUNG = """name = "sprung"
-[[elements]]
-kind = "prismatic"
-name = "x"
-axis = [1.0, 0.0, 0.0]
-stiffness = "STIFFNESS N/m"
-[[elements]]
-kind = "body"
-mass = "5 kg"
-inertia = ["1 kg*m^2", "1 kg*m^2", "1 kg*m^2"]
-[[elements]]
-kind = "prismatic"
-name = "y"
-axis = [0.0, 1.0, 0.0]
-stiffness = "1e5 N/m"
-[[elements]]
-kind = "prismatic"
-name = "z"
-axis = [0.0, 0.0, 1.0]
-stiffness = "LIFT N/m"
-[[elements]]
-kind = "body"
-mass = "5 kg"
-inertia = ["1 kg*m^2", "1 kg*m^2", "1 kg*m^2"]
-"""
+def sprung(x, y, z):
+    """Return a file of slides of some stiffness [N/m]."""
+    x, y, z = (
+        slide(name, axis, stiffness=f"{stiffness} N/m")
+        for axis, (name, stiffness) in enumerate(zip("xyz", (x, y, z), strict=True))
+    )
+    return arm_text(x, body("5 kg"), y, z, body("5 kg"))
 
 
 @pytest.mark.parametrize(
@@ -136,9 +112,8 @@ inertia = ["1 kg*m^2", "1 kg*m^2", "1 kg*m^2"]
 )
 def test_substeps_follow_the_modes(write, stiffness, substeps, note):
     # All as stiff, so that each gives way by its share.
-    text = SPRUNG.replace("STIFFNESS", f"{stiffness}").replace("1e5", f"{stiffness}")
     file = write('file = "sprung.toml"\n' + place(0, 0, 0))
-    (file.parent / "sprung.toml").write_text(text.replace("LIFT", f"{stiffness}"))
+    (file.parent / "sprung.toml").write_text(sprung(*3 * [stiffness]))
     job = load_job(file)
     assert job.simulation.substeps == substeps
     assert any(note in text for text in job.notes) if note else not job.notes
@@ -147,12 +122,11 @@ def test_substeps_follow_the_modes(write, stiffness, substeps, note):
 def test_springs_that_do_not_hold_the_weight_are_refused(write):
     # m g = 49 N on 50 N/m.
     file = write('file = "sprung.toml"\n' + place(0, 0, 0))
-    text = SPRUNG.replace("STIFFNESS", "1e5")
-    (file.parent / "sprung.toml").write_text(text.replace("LIFT", "50"))
+    (file.parent / "sprung.toml").write_text(sprung(1e5, 1e5, 50))
     (problem,) = problems_of(file)
     for part in ("joint z (50 N/m)", "by 981 mm", "stiffer"):
         assert part in problem
-    (file.parent / "sprung.toml").write_text(text.replace("LIFT", "1000"))
+    (file.parent / "sprung.toml").write_text(sprung(1e5, 1e5, 1000))
     (note,) = load_job(file).notes
     assert "joint z" in note and "49.1 mm" in note
 
@@ -178,26 +152,15 @@ def test_a_free_rotation_reaches_what_is_in_reach(tmp_path):
     np.testing.assert_allclose(Ts[:, :3, 2], axes, atol=1e-8)
 
 
-LINK = """
-[[elements]]
-kind = "body"
-mass = "1 kg"
-center_of_mass = ["100 mm", "0 mm", "0 mm"]
-inertia = ["1 kg*m^2", "1 kg*m^2", "1 kg*m^2"]
-[[elements]]
-kind = "translation"
-position = ["500 mm", "0 mm", "0 mm"]
-"""
-
-
-def flat_arm(elbow=""):
-    """Return a file of a 2R arm in the horizontal plane, with lines of its elbow."""
-    joints = [
-        f'[[elements]]\nkind = "revolute"\nname = "{name}"\n'
-        f'axis = [0.0, 0.0, 1.0]\nstiffness = "1e6 N*m/rad"\n{own}\n{LINK}'
-        for name, own in (("one", ""), ("two", elbow))
-    ]
-    return 'name = "flat"\n' + "".join(joints)
+def flat_arm(**elbow):
+    """Return a file of a 2R arm in the horizontal plane, with keys of its elbow."""
+    joint = {"kind": "revolute", "axis": [0, 0, 1], "stiffness": "1e6 N*m/rad"}
+    link = (
+        body("1 kg", center_of_mass=["100 mm", "0 mm", "0 mm"]),
+        {"kind": "translation", "position": ["500 mm", "0 mm", "0 mm"]},
+    )
+    one, two = joint | {"name": "one"}, joint | {"name": "two"} | elbow
+    return arm_text(one, *link, two, *link, name="flat")
 
 
 @pytest.fixture
@@ -225,7 +188,7 @@ def flat_job(write):
 @pytest.mark.slow
 def test_another_configuration_is_suggested(flat_job):
     # From here the elbow bends to the left, and farther than it may.
-    arm = flat_arm('lower = "-2 rad"\nupper = "1.6 rad"')
+    arm = flat_arm(lower="-2 rad", upper="1.6 rad")
     x = np.linspace(0.8, 0.6, 9)
     (problem,) = problems_of(flat_job(arm, x, 0, (-0.6, 1.2)))
     assert "joint two would stand at" in problem
@@ -244,11 +207,11 @@ def test_a_joint_that_is_too_slow_is_named(flat_job):
     elbow = 2 * np.arccos(x)
     rate = np.abs(np.diff(elbow)) / 4e-3
     start = (-0.5, 1.0)
-    (problem,) = problems_of(flat_job(flat_arm('speed = "2 rad/s"'), x, 0, start))
+    (problem,) = problems_of(flat_job(flat_arm(speed="2 rad/s"), x, 0, start))
     assert "joint two would move at" in problem and "time 0.120 s" in problem
     assert f"{np.rad2deg(rate.max()):.1f} deg/s; allowed is 114.6 deg/s" in problem
     assert f"so in {(rate > 2.0).sum()} of 31 rows" in problem
-    fast_enough = flat_arm(f'speed = "{rate.max() * (1 + 1e-9)} rad/s"')
+    fast_enough = flat_arm(speed=f"{rate.max() * (1 + 1e-9)} rad/s")
     assert load_job(flat_job(fast_enough, x, 0, start)).robot is not None
 
 
@@ -267,7 +230,7 @@ def test_a_program_slows_down_for_a_slow_joint(write):
     slow = slides.replace('name = "x"', 'name = "x"\nspeed = "20 mm/s"')
     found = {}
     for name, text in (("free", slides), ("slow", slow)):
-        (file.parent / "slides.toml").write_text(f'name = "slides"\n{text}')
+        (file.parent / "slides.toml").write_text(text)
         found[name] = load_job(file)
     rate = lambda job: np.abs(np.diff(job.path.positions[:, 0])).max() / 3.75e-3
     assert rate(found["free"]) == pytest.approx(0.05, rel=1e-3)
@@ -287,7 +250,7 @@ def test_a_program_slows_down_for_a_slow_joint(write):
     steepest = np.abs(np.diff(path.positions[:, 0], 2)).max() / 3.75e-3**2
     assert 0.05 < steepest <= 0.2 * (1 + 1e-6)
 
-    (file.parent / "slides.toml").write_text(f'name = "slides"\n{slides}')
+    (file.parent / "slides.toml").write_text(slides)
     (problem,) = problems_of(file)
     assert "joint_ramp" in problem and "no joint has a speed" in problem
 
@@ -304,7 +267,7 @@ def test_a_program_slows_down_again_where_rows_were_too_far_apart(write):
         slides = slides.replace(
             f'name = "{name}"', f'name = "{name}"\nspeed = "20 mm/s"'
         )
-    (file.parent / "slides.toml").write_text(f'name = "slides"\n{slides}')
+    (file.parent / "slides.toml").write_text(slides)
     rates = np.abs(np.diff(load_job(file).path.positions[:, :2], axis=0)) / 3.75e-3
     assert 0.0195 < rates.max() <= 0.02
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from diffmill import JobError, config
+from small_job import arm_text, body, slide
 
 HEAD = """kind = "force_records"
 [cutter]
@@ -22,31 +23,14 @@ feed_per_tooth = "0.1 mm"
 MEANS = HEAD.replace("force_records", "mean_forces").partition("[[record]]")[0]
 MEANS += "[means]\n"
 RATE, IDLE, CUT = 4000.0, 0.3, 1.2
-SLIDES = """name = "slides"
-[[elements]]
-kind = "revolute"
-name = "turn"
-axis = [0, 0, 1]
-lower = "-180 deg"
-upper = "180 deg"
-stiffness = "1e5 N*m/rad"
-[[elements]]
-kind = "translation"
-position = ["500 mm", "0 mm", "0 mm"]
-[[elements]]
-kind = "prismatic"
-name = "slide"
-axis = [1, 0, 0]
-lower = "-1 m"
-upper = "1 m"
-stiffness = "4 N/um"
-[[elements]]
-kind = "body"
-mass = "10 kg"
-inertia = ["1 kg*m^2", "1 kg*m^2", "1 kg*m^2"]
-"""
-
-
+SLIDES = arm_text(
+    {"kind": "revolute", "name": "turn", "axis": [0, 0, 1], "stiffness": "1e5 N*m/rad"}
+    | {"lower": "-180 deg", "upper": "180 deg"},
+    {"kind": "translation", "position": ["500 mm", "0 mm", "0 mm"]},
+    slide("slide", 0, lower="-1 m", upper="1 m", stiffness="4 N/um"),
+    body("10 kg"),
+    name="slides",
+)
 SECOND = '[[record]]\nfile = "two.txt"\nfeed_per_tooth = "0.2 mm"\n'
 
 

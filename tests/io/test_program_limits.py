@@ -1,10 +1,9 @@
 """Large and hostile programs: bounded time and memory, and the speed of plain lines."""
 
-import subprocess
-import sys
 import time
 
 import pytest
+from helpers import python
 
 from diffmill.io import (
     ProgramError,
@@ -47,8 +46,6 @@ def test_a_line_of_a_gigabyte_is_refused_before_it_is_read(tmp_path, suffix):
         "G0 X1 Y1 Z5\nG81 X1 R2 Z0 L999999999 F9",
         "G0 X1 Y1 Z5\nG83 X1 R2 Z0 Q.0000001 F9",
         "G0 X1\n" + "(" * 9_000,
-        "G0 X1\n" + "X" * 200_000,
-        "G0 X1\n" * 2_000_001,
         "G3 I1 P1e9 F1",
     ],
 )
@@ -67,7 +64,7 @@ def test_a_robot_program_without_an_end_of_its_statement(tmp_path):
     refused(lambda: read_program(file))
 
 
-@pytest.mark.parametrize("suffix", [".mod", ".src", ".apt"])
+@pytest.mark.parametrize("suffix", [".ngc", ".mod", ".src", ".apt"])
 def test_a_program_is_never_cut_short(tmp_path, suffix):
     file = tmp_path / f"long{suffix}"
     file.write_text("\n" * 2_000_001)
@@ -113,20 +110,12 @@ print(len(program.moves), spent, used)
 @pytest.mark.slow
 def test_a_million_lines_take_less_than_a_minute():
     # Apart: checks of types at every call, as tests have them, take ten times as long.
-    run = subprocess.run(
-        [sys.executable, "-c", SPEED], capture_output=True, text=True, check=True
-    )
+    run = python(SPEED, check=True)
     count, spent, used = (float(word) for word in run.stdout.split())
     print(f"{spent:.1f} s of processor time, {used / 1e9:.2f} GB for a million lines")
     assert count == 1_000_001
     assert spent < 60.0
     assert used < 1e6 * LINE_MEMORY
-
-
-def test_error_lists_at_most_twenty_faults():
-    with pytest.raises(ProgramError) as caught:
-        parse_gcode("G62\n" * 100)
-    assert len(caught.value.faults) == 20
 
 
 POSE = ",A 0,B 0,C 180}"

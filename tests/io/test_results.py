@@ -3,6 +3,7 @@ import errno
 import numpy as np
 import pytest
 import xarray
+from helpers import names
 
 from diffmill import workpiece
 from diffmill.cli import main
@@ -25,10 +26,6 @@ def dataset():
         coords={"axis": ["x", "y", "z"]},
         attrs={"job": "part", "source": "[cutter]\nteeth = 2\n"},
     )
-
-
-def names(folder):
-    return sorted(p.name for p in folder.iterdir())
 
 
 def test_round_trip(tmp_path, dataset):

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from diffmill.io import ProgramError, read_program
+from diffmill.io import read_program
 from diffmill.toolpath import Program
 
 H = "PTP {X 0,Y 0,Z 0,A 0,B 0,C 180}"
@@ -196,28 +196,3 @@ def test_suffixes_may_have_capitals(tmp_path, name, data):
     program = read_program(tmp_path / name)
     assert isinstance(program, Program)
     assert program.moves[0].end == pytest.approx((1e-3, 2e-3, 3e-3))
-
-
-@pytest.mark.parametrize(
-    ("rows", "line"),
-    [
-        ((H, "WAIT SEC -1", "LIN {X 9}"), 4),
-        (("$VEL.CP=1E400", H, "LIN {X 9}"), 3),
-        ((H, f"LIN {{X 9,Y 0,Z 0,A {'1' * 400},B 0,C 180}}"), 4),
-        ((H, "LIN {X 9,Y 0,Z 0,A 1E300,B 0,C 180}"), 4),
-    ],
-)
-def test_numbers_of_krl_are_bounded(faults, rows, line):
-    assert [at for at, _ in faults(krl(*rows))] == [line]
-
-
-def test_a_feed_or_a_rest_that_no_cell_has_is_noted(read):
-    notes = read(krl("$VEL.CP=50", H, "LIN {X 9}", "WAIT SEC 2000")).notes
-    assert any("feed: up to 50 m/s" in note for note in notes)
-    assert any("rest of 2000 s: is longer than a minute" in note for note in notes)
-
-
-def test_control_characters_of_a_program_do_not_reach_the_terminal(read):
-    with pytest.raises(ProgramError) as caught:
-        read("DEF a( )\nLIN {X 1}\x1b[2J\x1b]0;owned\nEND")
-    assert "\x1b" not in str(caught.value) and "\\x1b[2J" in str(caught.value)

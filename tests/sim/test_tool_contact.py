@@ -14,12 +14,13 @@ SPACING = 0.5e-3
 BLOCK = wp.box([0, 0, -15e-3], [60e-3, 40e-3, 0], SPACING)
 
 
-def path_of(corners, axis=(0, 0, 1), rapid=()):
-    """Return a path through corners [mm] in steps of 0.4 mm, a line to each."""
+def path_of(corners, axis=(0, 0, 1), rapid=(), step=0.4):
+    """Return a path through corners [mm] in steps [mm], a line to each."""
     corners = np.array(corners, float) * 1e-3
     rows, lines = [corners[:1]], [np.zeros(1, np.int32)]
     for k in range(1, len(corners)):
-        count = max(1, int(np.ceil(np.linalg.norm(corners[k] - corners[k - 1]) / 4e-4)))
+        length = 1e3 * np.linalg.norm(corners[k] - corners[k - 1])
+        count = max(1, int(np.ceil(length / step)))
         share = np.arange(1, count + 1)[:, None] / count
         rows.append(corners[k - 1] + share * (corners[k] - corners[k - 1]))
         lines.append(np.full(count, k, np.int32))
@@ -139,3 +140,31 @@ def test_the_rows_become_variables_with_units():
     dataset = sim.ToolContacts.along(path, BLOCK, MILL, holder).to_dataset()
     assert dataset["holder_depth"].dims == ("step",)
     assert dataset["holder_part_depth"].attrs["units"] == "m"
+
+
+IN, OUT = (-8, 10, -1), (30, 10, -1)
+
+
+def rapid_depth(*corners, step=0.2):
+    """Return a path whose last move is rapid, and how deep that goes into a block."""
+    path = path_of(corners, rapid=[len(corners) - 1], step=step)
+    block = wp.box([0, 0, -5e-3], [40e-3, 20e-3, 0], 0.2e-3)
+    found = sim.ToolContacts.along(path, block, ct.flat_end_mill(10e-3, 2))
+    return path, found.rapid_depth
+
+
+def test_a_rapid_through_stock_is_found_with_its_depth():
+    path, depth = rapid_depth((-8, 10, -1.5), (50, 10, -1.5))
+    assert depth.max() == pytest.approx(1.5e-3)
+    # The tool that is looked for is smaller by a spacing, and enters at its front.
+    assert -4.8e-3 < path.positions[np.flatnonzero(depth)[0], 0] < -4.2e-3
+    # Long steps do not jump over a rib.
+    assert rapid_depth((-30, 10, -1), (70, 10, -1), step=60)[1].any()
+    # Back through a slot that is not as deep.
+    assert 0 < rapid_depth(IN, OUT, (20, 10, -1.2))[1].max() <= 0.2e-3 + 1e-12
+
+
+def test_a_rapid_above_or_along_what_was_cut_is_allowed():
+    for z in (1, 0):
+        assert not rapid_depth((-8, 10, z), (50, 10, z))[1].any()
+    assert not rapid_depth(IN, OUT, IN, step=0.37)[1].any()
