@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+import machines
 from diffmill.robot import (
     FixedRotation,
     FixedTranslation,
@@ -23,23 +24,8 @@ def arm():
 
 @pytest.fixture(scope="session")
 def planar_arm():
-    """A 2R arm in the vertical x-z plane, angles from +x, counterclockwise.
-
-    Lengths 0.7 and 0.5 m, masses 3 and 2 kg at 0.3 and 0.2 m, inertias 0.06 and
-    0.03 kg m^2 about the axes of rotation.
-    """
-    axis = (0.0, -1.0, 0.0)
-    return build(
-        [
-            RevoluteJoint("shoulder", axis, stiffness=900.0, damping=2.0),
-            RigidBody(3.0, (0.3, 0.0, 0.0), np.diag([0.05, 0.06, 0.05])),
-            FixedTranslation((0.7, 0.0, 0.0)),
-            RevoluteJoint("elbow", axis, stiffness=400.0, damping=1.0),
-            RigidBody(2.0, (0.2, 0.0, 0.0), np.diag([0.02, 0.03, 0.02])),
-            FixedTranslation((0.5, 0.0, 0.0)),
-        ],
-        name="planar",
-    )
+    """A 2R arm in the vertical x-z plane."""
+    return machines.planar_arm()
 
 
 @pytest.fixture(scope="session")

@@ -37,17 +37,6 @@ def test_both_algorithms_agree_on_random_trees(rng, count, is_forked):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["arm", "soft_arm"])
-def test_articulated_bodies_invert_inverse_dynamics(name, request, rng):
-    robot = request.getfixturevalue(name)
-    q, qd, qdd = rng.uniform(-1, 1, (3, robot.joint_count))
-    wrench = rng.normal(size=6) * 50
-    tau = dr.inverse_dynamics(robot, q, qd, qdd, wrench)
-    found = dr.forward_dynamics(robot, q, qd, tau, wrench, algorithm="aba")
-    np.testing.assert_allclose(found, qdd, rtol=1e-10, atol=1e-10)
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("algorithm", ["crba", "aba"])
 def test_derivatives_are_central_differences(soft_arm, rng, difference, algorithm):
     n = soft_arm.joint_count

@@ -8,6 +8,14 @@ import pytest
 import diffmill.robot as dr
 
 
+def at_link(robot, link):
+    """Return the robot with its tool in the centre of mass of a link."""
+    T = np.eye(4)
+    T[:3, 3] = robot.link_centers[link]
+    place = {"flange_joint": link, "T_joint_flange": jnp.asarray(T)}
+    return dr.Robot(**{**vars(robot), **place, "T_flange_tool": jnp.eye(4)})
+
+
 def planar_closed_form(q, qd):
     """Return M, C + G of the planar arm; textbook form, angles from +x upwards."""
     l1, c1, c2, m1, m2, i1, i2, g = 0.7, 0.3, 0.2, 3.0, 2.0, 0.06, 0.03, 9.81
@@ -56,16 +64,7 @@ def test_the_mass_matrix_is_the_sum_over_the_bodies(arm, rng):
     q = rng.uniform(-1.0, 1.0, 6)
     total = np.zeros((6, 6))
     for link in range(6):
-        T = np.eye(4)
-        T[:3, 3] = arm.link_centers[link]
-        cut = dr.Robot(
-            **{
-                **vars(arm),
-                "flange_joint": link,
-                "T_joint_flange": jnp.asarray(T),
-                "T_flange_tool": jnp.eye(4),
-            }
-        )
+        cut = at_link(arm, link)
         J = np.asarray(dr.jacobian(cut, q))
         R = np.asarray(dr.forward_kinematics(cut, q))[:3, :3]
         I = R @ np.asarray(arm.link_inertias[link]) @ R.T
@@ -73,15 +72,18 @@ def test_the_mass_matrix_is_the_sum_over_the_bodies(arm, rng):
     np.testing.assert_allclose(dr.mass_matrix(arm, q), total, rtol=1e-11, atol=1e-10)
 
 
+@pytest.mark.parametrize(
+    "algorithm", ["crba", pytest.param("aba", marks=pytest.mark.slow)]
+)
 @pytest.mark.parametrize("name", ["arm", "soft_arm"])
-def test_forward_inverts_inverse_dynamics(name, request, rng):
+def test_forward_inverts_inverse_dynamics(name, algorithm, request, rng):
     robot = request.getfixturevalue(name)
     n = robot.joint_count
     q, qd, qdd = rng.uniform(-1, 1, (3, n))
     wrench = rng.normal(size=6) * 50
     tau = dr.inverse_dynamics(robot, q, qd, qdd, wrench)
-    found = dr.forward_dynamics(robot, q, qd, tau, wrench)
-    np.testing.assert_allclose(found, qdd, rtol=1e-9, atol=1e-10)
+    found = dr.forward_dynamics(robot, q, qd, tau, wrench, algorithm=algorithm)
+    np.testing.assert_allclose(found, qdd, rtol=1e-10, atol=1e-10)
 
 
 def test_power_of_all_forces_changes_the_kinetic_energy(soft_arm, rng):
@@ -104,16 +106,7 @@ def test_gravity_is_the_slope_of_the_potential_energy(soft_arm, rng, difference)
     def energy(q):
         total = 0.0
         for link in range(soft_arm.joint_count):
-            T = np.eye(4)
-            T[:3, 3] = soft_arm.link_centers[link]
-            cut = dr.Robot(
-                **{
-                    **vars(soft_arm),
-                    "flange_joint": link,
-                    "T_joint_flange": jnp.asarray(T),
-                    "T_flange_tool": jnp.eye(4),
-                }
-            )
+            cut = at_link(soft_arm, link)
             height = float(dr.forward_kinematics(cut, q)[2, 3])
             total += float(soft_arm.link_masses[link]) * 9.81 * height
         return np.array(total)

@@ -31,14 +31,8 @@ def flat_arm():
     )
 
 
-@functools.cache
-def free():
-    return functools.partial(dr.inverse_kinematics, tool_rotation="free")
-
-
-@functools.cache
-def free_path():
-    return functools.partial(dr.inverse_kinematics_path, tool_rotation="free")
+free = functools.partial(dr.inverse_kinematics, tool_rotation="free")
+free_path = functools.partial(dr.inverse_kinematics_path, tool_rotation="free")
 
 
 def upright(points):
@@ -66,7 +60,7 @@ def test_two_joints_in_closed_form(flat_arm, side):
     # The law of cosines; the start decides whether the elbow is left or right.
     t = np.linspace(0, 2 * math.pi, 40)
     points = np.stack([0.6 + 0.2 * np.cos(t), 0.3 * np.sin(t), 0 * t], axis=-1)
-    found = free_path()(flat_arm, upright(points), [0.0, side])
+    found = free_path(flat_arm, upright(points), [0.0, side])
     assert found.converged.all() and found.within_limits.all()
     assert_allclose(found.q, law_of_cosines(points, side), atol=1e-9)
     # Half way in the joints is half way in space, to second order of the step.
@@ -96,11 +90,11 @@ def test_the_branch_within_limits_is_taken(flat_arm):
     tight = eqx.tree_at(lambda r: r.joint_upper, flat_arm, jnp.array([2.5, 0.5]))
     T = upright([[0.3, 0.6, 0.0]])
     left = law_of_cosines(T[:, :3, 3], 1.0)[0]
-    found = free()(tight, T[0], left + 0.1)
+    found = free(tight, T[0], left + 0.1)
     assert bool(found.converged) and bool(found.within_limits)
     assert_allclose(found.q, law_of_cosines(T[:, :3, 3], -1.0)[0], atol=1e-9)
     # With one attempt the start decides, and what is beyond is said.
-    found = free()(tight, T[0], left + 0.1, attempts=1)
+    found = free(tight, T[0], left + 0.1, attempts=1)
     assert_allclose(found.q, left, atol=1e-9)
     assert bool(found.converged) and not bool(found.within_limits)
 
@@ -112,7 +106,7 @@ def test_whole_turns_are_taken_off_where_limits_ask(flat_arm):
         (jnp.array([2.0, -2.7]), jnp.array([8.0, 2.7])),
     )
     T = upright([[0.3, 0.6, 0.0]])
-    found = free()(turned, T[0], [2.1, 0.5])
+    found = free(turned, T[0], [2.1, 0.5])
     expected = law_of_cosines(T[:, :3, 3], 1.0)[0] + np.array([2 * math.pi, 0.0])
     assert bool(found.within_limits)
     assert_allclose(found.q, expected, atol=1e-9)
@@ -129,7 +123,7 @@ def test_a_path_starts_where_limits_let_it_end(flat_arm):
     assert nearest[1] < 0.0 and len(others) == 1
     (start,) = dr.path_starts(tight, upright(points), [0.0, -1.0], tool_rotation="free")
     assert_allclose(start, law_of_cosines(points, 1.0)[0], atol=1e-9)
-    found = free_path()(tight, upright(points), start)
+    found = free_path(tight, upright(points), start)
     assert found.converged.all() and found.within_limits.all()
 
 
@@ -150,21 +144,21 @@ def test_poses_within_reach_are_found_and_not_flagged(arm, tool_rotation):
 
 
 def test_what_a_point_beyond_reach_lacks(flat_arm):
-    found = free()(flat_arm, upright([[1.5, 0.0, 0.0]])[0], [0.1, 0.2])
+    found = free(flat_arm, upright([[1.5, 0.0, 0.0]])[0], [0.1, 0.2])
     assert not bool(found.converged)
     assert_allclose(found.position_residual, 1.5 - L1 - L2, rtol=5e-2)
     # A tool that has to lean by 0.1 rad cannot: all of it is missing.
     T = np.eye(4)
     T[:3, :3] = dr.rpy_matrix(0.1, 0.0, 0.0)
     T[:3, 3] = (0.9, 0.1, 0.0)
-    found = free()(flat_arm, T, [0.1, 0.2])
+    found = free(flat_arm, T, [0.1, 0.2])
     assert_allclose(found.rotation_residual, 0.1, rtol=1e-3)
 
 
 def test_limits_are_exceeded_by_what_is_said(flat_arm):
     elbow = 2.9
     T = np.asarray(dr.forward_kinematics(flat_arm, [0.2, elbow]))
-    found = free()(flat_arm, T, [0.0, 1.8])
+    found = free(flat_arm, T, [0.0, 1.8])
     assert bool(found.converged) and not bool(found.within_limits)
     assert_allclose(found.limit_excess, [0.0, elbow - 2.7], atol=1e-9)
 
@@ -174,7 +168,7 @@ def test_a_change_of_configuration_shows_between_the_rows(flat_arm):
     points = np.tile([-0.9, 0.0, 0.0], (40, 1))
     points[:20] = [0.9, 0.02, 0.0]
     points[10:20, 1] = 0.0
-    found = free_path()(flat_arm, upright(points), [0.4, -0.8])
+    found = free_path(flat_arm, upright(points), [0.4, -0.8])
     assert_allclose(found.midway_error[:10], 0.0, atol=1e-10)
     assert 0.0 < float(found.midway_error[10]) < 1e-3
     assert float(found.midway_error[20]) > 0.1
@@ -230,7 +224,7 @@ def gantry():
 @pytest.mark.slow
 def test_a_rotary_tool_axis_stays_still(gantry):
     points = np.random.default_rng(1).normal(size=(12, 3)) * 0.2
-    found = free_path()(gantry, upright(points), [0.0, 0.0, 0.0, 0.4])
+    found = free_path(gantry, upright(points), [0.0, 0.0, 0.0, 0.4])
     assert found.converged.all()
     assert_allclose(found.q[:, :3], points, atol=1e-10)
     # In the middle of its range, whatever the poses say about their rotation.
@@ -242,8 +236,8 @@ def test_a_tool_axis_that_cannot_turn_round_is_not_reached(gantry, angle):
     T = np.eye(4)
     T[:3, :3] = dr.rpy_matrix(angle, 0.0, 0.0)
     T[:3, :3] = np.where(np.abs(T[:3, :3]) < 1e-12, 0.0, T[:3, :3])
-    solve = lambda T: free()(gantry, T, gantry.home, attempts=0)
-    for found in (solve(T), free()(gantry, T, gantry.home)):
+    solve = lambda T: free(gantry, T, gantry.home, attempts=0)
+    for found in (solve(T), free(gantry, T, gantry.home)):
         assert not bool(found.converged)
         assert_allclose(found.rotation_residual, angle, atol=1e-6)
     for derivative in (jax.jacfwd, jax.jacrev):
@@ -259,7 +253,7 @@ def test_five_joints_reach_with_a_free_rotation_only(arm):
     T = np.array(dr.forward_kinematics(locked, q))
     T[:3, :3] = T[:3, :3] @ dr.rpy_matrix(0.0, 0.0, 0.3)
     assert not bool(dr.inverse_kinematics(locked, T, arm.home).converged)
-    found = free()(locked, T, arm.home)
+    found = free(locked, T, arm.home)
     assert bool(found.converged)
     assert float(found.q[5]) == 0.0
     reached = np.asarray(dr.forward_kinematics(locked, found.q))
@@ -286,7 +280,7 @@ def circle(robot, count):
 @pytest.mark.slow
 def test_the_rotation_belongs_to_the_pose_and_not_to_the_way(leaning):
     Ts = circle(leaning, 60)
-    found = free_path()(leaning, Ts, leaning.home)
+    found = free_path(leaning, Ts, leaning.home)
     assert found.converged.all() and found.within_limits.all()
     # Closed in space, closed in the joints, and smooth between.
     assert_allclose(found.q[-1], found.q[0], atol=1e-8)
@@ -332,7 +326,7 @@ def test_derivatives_are_those_of_the_root(three, difference):
         # Out of the plane nothing can be reached.
         moved = T.at[:2, 3].add(shift[:2])
         robot = three.with_tool(three.T_flange_tool.at[0, 3].add(shift[2]))
-        return free()(robot, moved, three.home).q
+        return free(robot, moved, three.home).q
 
     joints = jax.jit(joints)
     expected = difference(joints, np.zeros(3), 1e-5)
@@ -345,17 +339,17 @@ def test_many_poses_at_once(three, dtype):
     robot = jax.tree.map(lambda x: x.astype(dtype), three)
     Ts = jnp.asarray(ahead(three, 4), dtype)
     starts = jnp.stack([robot.home, robot.home + 0.05, robot.home - 0.1, robot.home])
-    found = jax.vmap(lambda T, q: free()(robot, T, q))(Ts, starts)
+    found = jax.vmap(lambda T, q: free(robot, T, q))(Ts, starts)
     assert found.q.dtype == dtype and found.converged.all()
     # From wherever it starts, a pose has one solution on this side.
-    expected = [free()(three, T, three.home).q for T in ahead(three, 4)]
+    expected = [free(three, T, three.home).q for T in ahead(three, 4)]
     tolerance = {jnp.float64: 1e-9, jnp.float32: 2e-3}[dtype]
     assert_allclose(found.q, np.stack(expected), atol=tolerance)
 
 
 def test_derivatives_are_finite_where_nothing_is_reached(three):
     T = jnp.asarray(upright([[1.9, 0.1, 0.0]])[0])
-    slope = jax.jit(jax.jacrev(lambda T: free()(three, T, three.home).q))(T)
+    slope = jax.jit(jax.jacrev(lambda T: free(three, T, three.home).q))(T)
     assert np.isfinite(slope).all()
 
 
@@ -368,7 +362,7 @@ def test_a_line_is_followed_past_the_end_of_a_middle(three, start, angle):
     begin = np.asarray(dr.forward_kinematics(three, start))[:3, 3]
     way = 0.3 * np.array([math.cos(math.radians(angle)), math.sin(math.radians(angle))])
     points = begin + np.linspace(0, 1, 60)[:, None] * np.append(way, 0.0)
-    found = free_path()(three, upright(points), start)
+    found = free_path(three, upright(points), start)
     assert found.converged.all() and found.within_limits[-1]
     tips = jax.vmap(lambda q: dr.forward_kinematics(three, q)[:3, 3])(found.q)
     assert_allclose(tips, points, atol=1e-12)
