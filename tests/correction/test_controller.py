@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers import cut_rms
 from slides_job import write_slides_job
 
 from diffmill.config import load_job
@@ -81,6 +82,16 @@ def rows_of(pieces, first, count):
     return np.minimum(rows, count - 1)
 
 
+def assert_moves_as(system, found, ran, pushed):
+    """Compare a linear system and its motion with a run and its derivative."""
+    for have, want in [
+        (system.motion.actual, ran.actual),
+        (found.actual[0], pushed.actual),
+        (found.force[0], pushed.force),
+    ]:
+        assert np.max(np.abs(have - want)) < 1e-9 * np.max(np.abs(want))
+
+
 def test_an_overlap_that_the_controller_looks_across_is_refused(tmp_path):
     settings = ("horizon = 100", "overlap = 12")
     job = load_job(write_slides_job(tmp_path, *settings, *CONTROLLER))
@@ -137,12 +148,7 @@ def test_the_linear_system_of_a_piece_goes_through_the_controller(slides):
         return jax.jvp(lambda x: piece.run(x)[0], (command,), (change,))
 
     ran, pushed = pushed_through(piece, here, change)
-    for have, want in [
-        (system.motion.actual, ran.actual),
-        (found.actual[0], pushed.actual),
-        (found.force[0], pushed.force),
-    ]:
-        assert np.max(np.abs(have - want)) < 1e-9 * np.max(np.abs(want))
+    assert_moves_as(system, found, ran, pushed)
 
 
 @pytest.mark.slow
@@ -155,21 +161,13 @@ def test_the_linear_system_goes_through_the_controller(job):
     assert system is not None
     found = system.move(change[..., None])
     ran, pushed = jax.jit(lambda x, d: jax.jvp(plant, (x,), (d,)))(command, change)
-    for have, want in [
-        (system.motion.actual, ran.actual),
-        (found.actual[0], pushed.actual),
-        (found.force[0], pushed.force),
-    ]:
-        assert np.max(np.abs(have - want)) < 1e-9 * np.max(np.abs(want))
+    assert_moves_as(system, found, ran, pushed)
 
 
 @pytest.mark.slow
 def test_a_correction_makes_up_for_the_controller(job):
     found = correct(job)
-    error = {
-        name: np.sqrt(np.mean(np.asarray(case.contour_error)[case.is_cutting] ** 2))
-        for name, case in found.cases.items()
-    }
+    error = {name: cut_rms(case) for name, case in found.cases.items()}
     assert error["corrected"] < 0.1 * error["uncorrected"]
     assert error["corrected"] < 0.3 * min(error["mirror"], error["inverse_drive"])
     # What is recorded are the motors as they move, not as they are told.
@@ -190,14 +188,10 @@ def test_segments_of_a_job_find_what_its_whole_path_finds(tmp_path):
     whole, job = correct(load(*settings)), load(*settings, *parts)
     kept = []
     found = correct(job, on_checkpoint=lambda arrays: kept.append(dict(arrays)))
-    rms = [np.sqrt(np.mean(_cut_error(x) ** 2)) for x in (whole, found)]
+    rms = [cut_rms(x.after) for x in (whole, found)]
     assert rms[1] < 1.05 * rms[0]
     assert found.methods["corrected"].detail["segment_count"] == 3
     # In the middle of a sweep: the controller's state is kept with the plant's.
     at = [k for k, arrays in enumerate(kept) if "search/corrected/row" in arrays]
     again = correct(job, resume=kept[at[2]])
     assert np.array_equal(again.commanded, found.commanded)
-
-
-def _cut_error(found):
-    return np.asarray(found.after.contour_error)[found.after.is_cutting]

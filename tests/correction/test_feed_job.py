@@ -2,43 +2,18 @@
 
 import dataclasses
 import itertools
-import math
 
 import equinox as eqx
 import numpy as np
 import pytest
-from helpers import PAPER_LAW
 
-from diffmill import (
-    CorrectionSettings,
-    Job,
-    LineWeight,
-    SimulationSettings,
-    cutter as ct,
-    robot as rb,
-    toolpath as tp,
-    workpiece as wp,
-)
+from diffmill import CorrectionSettings, LineWeight, toolpath as tp, workpiece as wp
 from diffmill.correction import NothingToCorrect, feed_tradeoff, tune_feed
 from diffmill.sim import simulate
+from machines import job_of, slides
 
 PERIOD = 3.75e-3
-STIFFNESS, MASS = np.array([1.5e6, 2.5e6, 4e6]), 80.0
 LIMITS = {"acceleration": 0.5, "rapid_feed": 0.1, "corner_tolerance": 0.0}
-
-
-def slides():
-    """Return three slides, the mass on the last, each well damped."""
-    joints = [
-        rb.PrismaticJoint(
-            name,
-            tuple(axis),
-            stiffness=float(K),
-            damping=2 * 0.5 * math.sqrt(K * MASS),
-        )
-        for name, axis, K in zip("xyz", np.eye(3), STIFFNESS, strict=True)
-    ]
-    return rb.build([*joints, rb.RigidBody(MASS, (0, 0, 0), np.eye(3))])
 
 
 @pytest.fixture(scope="module")
@@ -49,25 +24,15 @@ def job():
         tp.Move((*a, -1e-3), (*b, -1e-3), feed=0.05, line=k)
         for k, (a, b) in enumerate(itertools.pairwise(corners), 1)
     )
-    program = tp.Program(moves)
-    return Job(
-        name="side",
-        cutter=ct.flat_end_mill(10e-3, 2),
-        law=PAPER_LAW,
-        spindle_speed=2 * math.pi / (2 * PERIOD),
-        stock=wp.box([0, 0, -2e-3], [14e-3, 5e-3, 0], 0.5e-3),
-        path=tp.sample_program(program, PERIOD, **LIMITS),
-        robot=slides(),
-        T_base_work=np.eye(4),
-        joint_start=None,
-        simulation=SimulationSettings(
-            angles=96,
-            substeps=1,
-            element_height=1e-3,
-            axial_depth=1.5e-3,
-            mode="quasistatic",
-        ),
-        correction=CorrectionSettings(max_steps=1),
+    return job_of(
+        slides(),
+        tp.sample_program(tp.Program(moves), PERIOD, **LIMITS),
+        wp.box([0, 0, -2e-3], [14e-3, 5e-3, 0], 0.5e-3),
+        CorrectionSettings(max_steps=1),
+        angles=96,
+        substeps=1,
+        element_height=1e-3,
+        mode="quasistatic",
     )
 
 

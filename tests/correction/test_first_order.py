@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from correction.spring_mass import rounded_square, soft_arm
+from correction.spring_mass import square_problem
 from scipy import sparse
 
 from diffmill.correction import (
@@ -23,8 +23,7 @@ TIME_STEP = 3.75e-3
 
 @pytest.fixture(scope="module")
 def problem():
-    _, path, is_cutting = rounded_square(TIME_STEP)
-    return Problem(soft_arm(TIME_STEP), path, path, is_cutting * 1.0, TIME_STEP)
+    return square_problem(TIME_STEP)
 
 
 @pytest.mark.slow

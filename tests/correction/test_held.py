@@ -3,11 +3,13 @@
 import dataclasses
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from diffmill.correction import (
+    AbstractPiece,
     Ensemble,
     FinishedSurface,
     GaussNewton,
@@ -38,19 +40,37 @@ def straight_wall():
     return path, FinishedSurface(points, normals, is_wall, poses, RADIUS)
 
 
+class Pushed(AbstractPiece):
+    """Rows that are pushed into the wall and off it, the more the further."""
+
+    path: jax.Array
+    push: jax.Array
+
+    def __call__(self, command):
+        bend = 1 + 0.3 * jnp.sin((command - self.path) / 1e-4)
+        return Motion(command + self.push * bend, jnp.zeros_like(command))
+
+    def run(self, command):
+        """Run the rows; nothing is remembered."""
+        return self(command), jnp.zeros(())
+
+
 def pushed(max_offset=1e-3):
-    """A plant that is pushed into the wall and off it, the more the further it is."""
+    """A pass of such a plant, and its surface."""
     path, surface = straight_wall()
     phase = np.arange(ROWS) / ROWS
     push = np.zeros_like(path)
     push[:, 1] = 1e-4 * np.sin(40 * phase) * np.sin(np.pi * phase) ** 2
+    plant = Pushed(jnp.asarray(path), jnp.asarray(push))
+    return Problem(plant, path, path, np.ones(ROWS), TIME_STEP, max_offset), surface
 
-    def plant(command):
-        bend = 1 + 0.3 * jnp.sin((command - path) / 1e-4)
-        return Motion(command + push * bend, jnp.zeros_like(command))
 
-    problem = Problem(plant, path, path, np.ones(ROWS), TIME_STEP, max_offset)
-    return problem, surface
+def leaving():
+    """A program that is rewarded for leaving the wall, and its surface."""
+    problem, surface = pushed()
+    way = np.sin(np.linspace(0, np.pi, ROWS)[:, None])
+    away = problem.desired + np.array([[0.0, 2e-4, 0.0]]) * way
+    return dataclasses.replace(problem, desired=away), surface
 
 
 @pytest.fixture(scope="module")
@@ -86,11 +106,7 @@ def test_a_gouge_limit_that_cannot_be_held_is_named(held_and_free):
 
 def test_the_tool_stays_in_a_thin_layer():
     """A program that is rewarded for leaving the wall may not leave the cut."""
-    problem, surface = pushed()
-    away = problem.desired + np.array([[0.0, 2e-4, 0.0]]) * np.sin(
-        np.linspace(0, np.pi, ROWS)[:, None]
-    )
-    problem = dataclasses.replace(problem, desired=away)
+    problem, surface = leaving()
     layers = np.full(len(surface.points), 1e-4)
     # The mirror's step is larger than the layer.
     mirrored = Mirror()(problem)

@@ -7,7 +7,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from correction.spring_mass import SpringMass, rounded_square, soft_arm
+from correction.spring_mass import SpringMass, soft_arm, square_problem
 from scipy import sparse
 
 from diffmill import RESULTS
@@ -112,15 +112,13 @@ class LedPieces(AbstractPieces):
 
 @pytest.fixture(scope="module")
 def problem():
-    _, path, is_cutting = rounded_square(TIME_STEP)
-    weights = is_cutting.astype(float)
-    return Problem(PLANT, path, path, weights, TIME_STEP)
+    return square_problem(TIME_STEP, damping_ratio=0.1)
 
 
-def horizon(problem, **options):
+def horizon(problem, method=METHOD, **options):
     pieces = SpringPieces(problem.plant)
     return RecedingHorizon(
-        pieces, METHOD, **{"horizon": 200, "overlap": 100, **options}
+        pieces, method, **{"horizon": 200, "overlap": 100, **options}
     )
 
 
@@ -274,18 +272,14 @@ def test_segments_that_have_not_settled_are_told(problem, segmented):
     is_settled = found.detail["unsettled_segments"] == 0
     assert is_settled == bool(found.result == RESULTS.successful)
     hasty = eqx.tree_at(lambda m: m.solver.max_steps, METHOD, 1)
-    pieces = SpringPieces(problem.plant)
-    method = RecedingHorizon(pieces, hasty, horizon=400, overlap=100, sweeps=1)
-    again = method(problem)
+    again = horizon(problem, hasty, horizon=400, sweeps=1)(problem)
     assert again.detail["unsettled_segments"] == again.detail["segment_count"]
     assert bool(again.result == RESULTS.not_converged)
 
 
 def test_a_limit_of_all_axes_holds_across_seams(problem):
     """As those of joints are: x and y together may go half as far as they would."""
-    free = RecedingHorizon(
-        SpringPieces(problem.plant), METHOD, horizon=400, overlap=100, sweeps=1
-    )(problem)
+    free = horizon(problem, horizon=400, sweeps=1)(problem)
     together = lambda found: np.sum((found.command - problem.nominal)[:, :2], axis=1)
     most = 0.5 * together(free).max()
     spline = SplineOffsets(len(problem.nominal), TIME_STEP, KNOTS)
@@ -294,9 +288,7 @@ def test_a_limit_of_all_axes_holds_across_seams(problem):
     bound = np.full(len(problem.nominal), most)
     limit = LinearLimits(matrix, -np.inf * bound, bound, "joints")
     method = dataclasses.replace(METHOD, limits=(limit,))
-    held = RecedingHorizon(
-        SpringPieces(problem.plant), method, horizon=400, overlap=100, sweeps=1
-    )(problem)
+    held = horizon(problem, method, horizon=400, sweeps=1)(problem)
     assert 0.98 * most < together(held).max() <= most * (1 + 1e-9)
     assert held.measures.rms > free.measures.rms
 
@@ -321,13 +313,7 @@ def test_a_sweep_that_another_follows_takes_half_of_the_steps(problem):
     # No decrease is too small, so that a segment takes as many steps as it may.
     solver = dataclasses.replace(METHOD.solver, max_steps=2, cost_rtol=0.0)
     method = dataclasses.replace(METHOD, solver=solver)
-    pieces = SpringPieces(problem.plant)
-    counts = []
-    for sweeps in (1, 2):
-        sought = RecedingHorizon(
-            pieces, method, horizon=200, overlap=100, sweeps=sweeps
-        )
-        counts.append(len(sought(problem).history))
+    counts = [len(horizon(problem, method, sweeps=n)(problem).history) for n in (1, 2)]
     assert counts[1] == 1.5 * counts[0]
 
 
@@ -364,7 +350,6 @@ def test_a_limit_of_the_command_holds_across_seams(problem, segmented):
     rate = np.abs(np.diff(problem.nominal, 2, axis=0)).max() / TIME_STEP**2
     limit = 0.5 * (rate + free.max_acceleration)
     method = eqx.tree_at(lambda m: m.max_acceleration, METHOD, limit)
-    pieces = SpringPieces(problem.plant)
-    found = RecedingHorizon(pieces, method, horizon=200, overlap=100)(problem)
+    found = horizon(problem, method)(problem)
     held = np.abs(np.diff(np.asarray(found.command), 2, axis=0)) / TIME_STEP**2
     assert limit * 0.98 < held.max() < limit * (1 + 1e-9)

@@ -3,13 +3,12 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from correction.spring_mass import rounded_square, soft_arm
+from correction.spring_mass import square_problem
 
 from diffmill.correction import (
     GaussNewton,
     InfeasibleLimit,
     LinearLimits,
-    Problem,
     SplineOffsets,
 )
 from diffmill.optimise import LinearRows, QuadraticModel
@@ -94,11 +93,10 @@ def test_the_minimum_within_limits_is_that_of_a_dense_solver():
 
 
 def test_gauss_newton_holds_a_velocity_and_pays_for_it():
-    _, path, is_cutting = rounded_square(TIME_STEP)
-    problem = Problem(soft_arm(TIME_STEP), path, path, is_cutting * 1.0, TIME_STEP)
+    problem = square_problem(TIME_STEP)
     fastest = lambda rows: np.abs(np.diff(rows, axis=0)).max() / TIME_STEP
     free = GaussNewton(30e-3)(problem)
-    limit = 1.02 * float(fastest(path))
+    limit = 1.02 * float(fastest(problem.desired))
     assert fastest(np.asarray(free.command)) > 1.05 * limit
     held = GaussNewton(30e-3, max_velocity=limit)(problem)
     assert fastest(np.asarray(held.command)) == pytest.approx(limit, rel=1e-3)

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from correction.spring_mass import rounded_square, soft_arm
+from correction.spring_mass import rounded_square, soft_arm, square_problem
 
 from diffmill import RESULTS
 from diffmill.correction import (
@@ -30,9 +30,7 @@ KNOTS = 30e-3
 
 @pytest.fixture(scope="module")
 def problem():
-    _, path, is_cutting = rounded_square(TIME_STEP)
-    weights = is_cutting.astype(float)
-    return Problem(soft_arm(TIME_STEP), path, path, weights, TIME_STEP)
+    return square_problem(TIME_STEP)
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.spatial
-from correction.spring_mass import rounded_square, soft_arm
+from correction.spring_mass import rounded_square, soft_arm, square_problem
 from slides_job import write_slides_job
 
 import diffmill as dm
@@ -81,10 +81,11 @@ class OwnSlopes(PathObjective):
 
 
 def test_two_steps_come_near_a_band_that_can_be_kept():
-    _, path, is_cutting = rounded_square(TIME_STEP)
-    problem = Problem(soft_arm(TIME_STEP), path, path, is_cutting * 1.0, TIME_STEP)
-    largest = lambda contour: np.linalg.norm(contour[is_cutting], axis=1).max()
-    assert largest(np.asarray(problem.contour(problem.run(path)))) > 600e-6
+    problem = square_problem(TIME_STEP)
+    cuts = problem.is_cutting > 0
+    largest = lambda contour: np.linalg.norm(contour[cuts], axis=1).max()
+    before = problem.contour(problem.run(problem.nominal))
+    assert largest(np.asarray(before)) > 600e-6
     band = 150e-6
     solver = LevenbergMarquardt(max_steps=2, damping=1e-4, cost_rtol=1e-2)
     left = {

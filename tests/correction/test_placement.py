@@ -8,20 +8,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import PAPER_LAW
+from helpers import cut_rms
 from scipy.spatial.transform import Rotation
 
 import diffmill as dm
-from diffmill import (
-    CorrectionSettings,
-    Job,
-    SimulationSettings,
-    cutter as ct,
-    robot as rb,
-    toolpath as tp,
-    units,
-    workpiece as wp,
-)
+import machines
+from diffmill import robot as rb, toolpath as tp, units, workpiece as wp
 from diffmill.correction import (
     InfeasibleLimit,
     NothingToCorrect,
@@ -53,24 +45,15 @@ def job_of(robot, position=(1.2, 0.0, 0.0), length=0.05, **more):
     """Return a straight path along x of `work`; what it cuts is not looked at."""
     tips = np.zeros((ROWS, 3))
     tips[:, 0] = np.linspace(0.0, length, ROWS)
-    T_base_work = np.eye(4)
-    T_base_work[:3, 3] = position
-    return Job(
-        name="straight",
-        cutter=ct.flat_end_mill(10e-3, 2),
-        law=PAPER_LAW,
-        spindle_speed=100.0,
-        stock=wp.box([0, 0, -2e-3], [4e-3, 4e-3, 0], 1e-3),
-        path=tp.Path.upright(0.03 * np.arange(ROWS), tips),
-        robot=robot,
-        T_base_work=T_base_work,
-        joint_start=None,
-        simulation=SimulationSettings(
-            angles=96, substeps=4, element_height=1e-3, axial_depth=1e-3
-        ),
-        correction=CorrectionSettings(),
-        **more,
+    job = machines.job_of(
+        robot,
+        tp.Path.upright(0.03 * np.arange(ROWS), tips),
+        wp.box([0, 0, -2e-3], [4e-3, 4e-3, 0], 1e-3),
+        angles=96,
+        substeps=4,
     )
+    job.T_base_work[:3, 3] = position
+    return dataclasses.replace(job, **more)
 
 
 def matrix_of(pose):
@@ -214,8 +197,7 @@ def test_the_simulated_error_falls_as_predicted(tmp_path):
 
     def rms(job):
         solution = dm.simulate(job)
-        error = solution.contour_error[solution.is_cutting]
-        return float(jnp.sqrt(jnp.mean(error**2))), solution.rigid.force
+        return cut_rms(solution), solution.rigid.force
 
     before, force = rms(job)
     static, _ = rms(dataclasses.replace(job, simulation=still))

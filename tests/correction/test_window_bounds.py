@@ -1,41 +1,30 @@
 """Bounds of the surface in segments: held in each, as for the whole path."""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from correction.test_held import PATIENT, RADIUS, ROWS, TIME_STEP, straight_wall
+from correction.test_held import (
+    PATIENT,
+    RADIUS,
+    ROWS,
+    TIME_STEP,
+    Pushed,
+    leaving,
+    pushed,
+    straight_wall,
+)
 
 from diffmill.correction import (
-    AbstractPiece,
     AbstractPieces,
     FinishedSurface,
     GaussNewton,
     InfeasibleLimit,
-    Motion,
     Problem,
     RecedingHorizon,
     SurfaceBounds,
 )
 from diffmill.workpiece import box
-
-
-class Pushed(AbstractPiece):
-    """Rows that are pushed into the wall and off it, the more the further."""
-
-    path: jax.Array
-    push: jax.Array
-
-    def __call__(self, command):
-        return Motion(
-            command + self.push * (1 + 0.3 * jnp.sin((command - self.path) / 1e-4)),
-            jnp.zeros_like(command),
-        )
-
-    def run(self, command):
-        """Run the rows; nothing is remembered."""
-        return self(command), jnp.zeros(())
 
 
 class PushedPieces(AbstractPieces):
@@ -50,15 +39,6 @@ class PushedPieces(AbstractPieces):
     def piece(self, state, rows):
         """Return some rows."""
         return jax.tree.map(lambda x: x[rows], self.whole)
-
-
-def pushed(max_offset=1e-3):
-    path, surface = straight_wall()
-    phase = np.arange(ROWS) / ROWS
-    push = np.zeros_like(path)
-    push[:, 1] = 1e-4 * np.sin(40 * phase) * np.sin(np.pi * phase) ** 2
-    plant = Pushed(jnp.asarray(path), jnp.asarray(push))
-    return Problem(plant, path, path, np.ones(ROWS), TIME_STEP, max_offset), surface
 
 
 def segments(problem, bounds):
@@ -100,11 +80,7 @@ def test_a_limit_that_a_segment_cannot_hold_is_named(gouge):
 @pytest.mark.slow
 def test_the_tool_stays_in_a_thin_layer_in_segments():
     """A program that is rewarded for leaving the wall may not leave the cut."""
-    problem, surface = pushed()
-    away = problem.desired + np.array([[0.0, 2e-4, 0.0]]) * np.sin(
-        np.linspace(0, np.pi, ROWS)[:, None]
-    )
-    problem = eqx.tree_at(lambda p: p.desired, problem, away)
+    problem, surface = leaving()
     layers = np.full(len(surface.points), 1e-4)
     found = segments(problem, SurfaceBounds.about(surface, layers=layers))
     most = np.asarray(surface.errors(found.motion.actual)).max()
