@@ -9,38 +9,14 @@ import numpy as np
 import pytest
 from helpers import PAPER_LAW
 
-from diffmill import (
-    CorrectionSettings,
-    Job,
-    SimulationSettings,
-    cutter as ct,
-    identification,
-    robot as rb,
-    sim,
-    toolpath as tp,
-    workpiece as wp,
-)
+from diffmill import identification, sim, toolpath as tp, workpiece as wp
 from diffmill.cutting import LinearEdgeLaw
 from diffmill.identification import fit_coupled
+from machines import STIFFNESS, job_of, slides
 
-PERIOD, MASS, ZETA = 3.75e-3, 80.0, 0.08
-STIFFNESS = np.array([1.5e6, 2.5e6, 4e6])
+PERIOD, ZETA = 3.75e-3, 0.08
 # Where a fit starts, over the truth.
 OFF = {"K": [0.7, 1.6, 0.8], "D": [2.0, 2.0, 1.5], "law": [1.3, 0.8, 1.5, 0.7, 1.4, 2]}
-
-
-def slides():
-    """Return three slides, the mass on the last."""
-    joints = [
-        rb.PrismaticJoint(
-            name,
-            tuple(axis),
-            stiffness=float(K),
-            damping=2 * ZETA * math.sqrt(K * MASS),
-        )
-        for name, axis, K in zip("xyz", np.eye(3), STIFFNESS, strict=True)
-    ]
-    return rb.build([*joints, rb.RigidBody(MASS, (0, 0, 0), np.eye(3))])
 
 
 def cut(teeth, feeds, spacing, angles, substeps, **settings):
@@ -49,24 +25,13 @@ def cut(teeth, feeds, spacing, angles, substeps, **settings):
     x = np.cumsum(np.concatenate([[0.0], steps, 0 * steps])) - 5.5e-3
     y = np.cumsum(np.concatenate([[0.0], 0 * steps, steps])) + 6e-3
     tips = np.column_stack([x, y, np.full(len(x), -1e-3)])
-    return Job(
-        name="corner",
-        cutter=ct.flat_end_mill(10e-3, 2),
-        law=PAPER_LAW,
-        spindle_speed=2 * math.pi / (2 * PERIOD),
-        stock=wp.box([0, 0, -2e-3], [x[-1] + 6e-3, y[-1] + 6e-3, 0], spacing),
-        path=tp.Path.upright(PERIOD * np.arange(len(x)), tips),
-        robot=slides(),
-        T_base_work=np.eye(4),
-        joint_start=None,
-        simulation=SimulationSettings(
-            angles=angles,
-            substeps=substeps,
-            element_height=0.5e-3,
-            axial_depth=1.5e-3,
-            **settings,
-        ),
-        correction=CorrectionSettings(),
+    return job_of(
+        slides(ZETA),
+        tp.Path.upright(PERIOD * np.arange(len(x)), tips),
+        wp.box([0, 0, -2e-3], [x[-1] + 6e-3, y[-1] + 6e-3, 0], spacing),
+        angles=angles,
+        substeps=substeps,
+        **settings,
     )
 
 
@@ -179,7 +144,7 @@ def test_a_start_that_is_far_off_does_no_harm(factor):
     clean, draw = np.asarray(small_record().deviation), np.random.default_rng(0)
     seen = clean + 3e-6 * draw.normal(size=clean.shape)
     job = small()
-    robot = slides().with_drives(stiffness=factor * STIFFNESS)
+    robot = slides(ZETA).with_drives(stiffness=factor * STIFFNESS)
     far = eqx.tree_at(lambda j: j.robot, job, robot)
     fit = fit_coupled(far, deviation=seen)
     off = errors(fit, small())

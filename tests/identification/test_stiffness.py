@@ -53,6 +53,19 @@ def moved(robot, q, wrench):
     )
 
 
+def scattered(robot, q, wrench, draw, share=0.02):
+    """Displacements with noise of a share of their root mean square."""
+    d = moved(robot, q, wrench)[:, :3]
+    return d + share * np.sqrt(np.mean(d**2)) * draw.normal(size=d.shape)
+
+
+def unturned(robot):
+    """Return a robot and loads along the axis of its first joint, and the draw."""
+    q, wrench, draw = loads(robot, 8, 3)
+    wrench[:, :2] = 0
+    return robot, q, wrench, draw
+
+
 def test_exact_tables_give_the_springs_back():
     robot = arm()
     q, wrench, _ = loads(robot, 6, 1)
@@ -105,8 +118,7 @@ def test_a_joint_that_the_loads_bound_has_a_number_with_its_interval():
     K = np.asarray(robot.joint_stiffness)
     q, wrench, draw = loads(robot, 12, 5, spread=0.15)
     wrench *= 0.1
-    d = moved(robot, q, wrench)[:, :3]
-    d += 0.09 * np.sqrt(np.mean(d**2)) * draw.normal(size=d.shape)
+    d = scattered(robot, q, wrench, draw, 0.09)
     fit = fit_joint_stiffness(robot, q, wrench, d, noise="absolute")
     assert fit.explained > 0.99
     assert fit.identifiable[fit.share > 0.1].all() and not fit.identifiable.all()
@@ -121,8 +133,7 @@ def test_a_joint_that_the_loads_bound_has_a_number_with_its_interval():
 def test_permuted_axes_are_a_bad_fit():
     robot = arm()
     q, wrench, draw = loads(robot, 20, 5)
-    d = moved(robot, q, wrench)[:, :3]
-    d += 0.05 * np.sqrt(np.mean(d**2)) * draw.normal(size=d.shape)
+    d = scattered(robot, q, wrench, draw, 0.05)
     fit = fit_joint_stiffness(robot, q, wrench, d[:, [1, 2, 0]])
     assert fit.explained < 0.5 and not fit.is_consistent
     assert not fit.identifiable.any() and np.isnan(fit.stiffness).all()
@@ -268,8 +279,7 @@ def test_standard_errors_cover_the_truth():
 def test_the_bound_from_few_tests_allows_for_their_number():
     robot = arm()
     q, wrench, draw = loads(robot, 3, 7)
-    d = moved(robot, q, wrench)[:, :3]
-    d += 0.01 * np.sqrt(np.mean(d**2)) * draw.normal(size=d.shape)
+    d = scattered(robot, q, wrench, draw, 0.01)
     fit = fit_joint_stiffness(robot, q, wrench, d, noise="absolute")
     # Student's quantile for the nine numbers less six unknowns.
     most = fit.compliance + 2.353 * fit.compliance_errors
@@ -284,31 +294,21 @@ def moved_fast(robot, q, wrench):
 def test_suggested_tests_show_the_missing_joints():
     # Forces along the axis of joint 1 never turn it; a tool on the axis of the last
     # joint cannot turn that.
-    robot = arm((0.0, 0.0, 0.2))
-    q, wrench, draw = loads(robot, 8, 3)
-    wrench[:, :2] = 0
-    d = moved(robot, q, wrench)[:, :3]
-    d += 0.02 * np.sqrt(np.mean(d**2)) * draw.normal(size=d.shape)
-    fit = fit_joint_stiffness(robot, q, wrench, d)
+    robot, q, wrench, draw = unturned(arm((0.0, 0.0, 0.2)))
+    fit = fit_joint_stiffness(robot, q, wrench, scattered(robot, q, wrench, draw))
     assert not fit.identifiable[0] and not fit.identifiable[5]
     more = identification.suggest_load_tests(robot, fit, q, wrench)
     assert more.unobservable == (robot.joint_names[5],)
     q, wrench = np.vstack([q, more.q]), np.vstack([wrench, more.wrench])
-    d = moved(robot, q, wrench)[:, :3]
-    d += 0.02 * np.sqrt(np.mean(d[:8] ** 2)) * draw.normal(size=d.shape)
-    again = fit_joint_stiffness(robot, q, wrench, d)
+    again = fit_joint_stiffness(robot, q, wrench, scattered(robot, q, wrench, draw))
     assert again.identifiable[0]
     assert more.relative_errors[0] < 0.1
 
 
 def test_no_load_test_is_suggested_twice():
     """With one joint to find, the load that turns it most stays the best one."""
-    robot = arm()
-    q, wrench, draw = loads(robot, 8, 3)
-    wrench[:, :2] = 0
-    d = moved(robot, q, wrench)[:, :3]
-    d += 0.02 * np.sqrt(np.mean(d**2)) * draw.normal(size=d.shape)
-    fit = fit_joint_stiffness(robot, q, wrench, d)
+    robot, q, wrench, draw = unturned(arm())
+    fit = fit_joint_stiffness(robot, q, wrench, scattered(robot, q, wrench, draw))
     more = identification.suggest_load_tests(robot, fit, q, wrench, count=5)
     assert len(np.unique(np.hstack([more.q, more.wrench]), axis=0)) == 5
     with pytest.raises(ValueError, match="`count` must be at most 600"):
@@ -328,9 +328,7 @@ def test_a_table_with_no_more_numbers_than_unknowns_is_told_what_helps():
     assert np.isnan(more.relative_errors[:5]).all()
     assert np.isinf(more.relative_errors[5])
     q, wrench = np.vstack([q, more.q]), np.vstack([wrench, more.wrench])
-    d = moved(robot, q, wrench)[:, :3]
-    d += 0.02 * np.sqrt(np.mean(d**2)) * draw.normal(size=d.shape)
-    again = fit_joint_stiffness(robot, q, wrench, d)
+    again = fit_joint_stiffness(robot, q, wrench, scattered(robot, q, wrench, draw))
     assert again.identifiable[:5].all()
 
 
