@@ -6,11 +6,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import PAPER_LAW, ThroughSamples, relative
+from helpers import PAPER_LAW, assert_adjoints_agree, relative
 
 from diffmill import cutter as ct, process as pr, robot as rb, sim, workpiece as wp
 from diffmill.io import parse_gcode
 from diffmill.toolpath import sample_program
+from machines import home_frame, motors_of, one_mode
 
 MILL = ct.flat_end_mill(10e-3, 2)
 PERIOD = 3.75e-3
@@ -18,13 +19,7 @@ STOCK = wp.box([0, 0, -2e-3], [14e-3, 12e-3, 0], 0.25e-3, interval_counts=(6, 6,
 ROBOT = rb.load("reis_rv130_like")
 
 
-def work_frame():
-    frame = np.eye(4)
-    frame[:3, 3] = np.asarray(rb.forward_kinematics(ROBOT, ROBOT.home))[:3, 3]
-    return frame
-
-
-FRAME = work_frame()
+FRAME = home_frame(ROBOT)
 PLAN = pr.choose_engagement(STOCK, MILL, axial_depth=1.5e-3)
 ARM = sim.ElasticArm(ROBOT, FRAME)
 
@@ -52,10 +47,7 @@ def path():
 
 
 def motors(tips):
-    Ts = jnp.broadcast_to(jnp.asarray(FRAME)[None], (tips.shape[0], 4, 4))
-    Ts = Ts.at[:, :3, 3].add(tips)
-    q = rb.inverse_kinematics_path(ROBOT, Ts, ROBOT.home).q
-    return jax.vmap(lambda row: rb.motor_positions(ROBOT, row))(q)
+    return motors_of(ROBOT, tips, FRAME)
 
 
 def run(tips, adjoint, stock=STOCK):
@@ -114,20 +106,6 @@ def test_a_robot_moving_from_the_start_does_not_ring():
     tips[:, 0] += 50e-3 * PERIOD * np.arange(len(tips))
     moving = compiled()(jnp.asarray(tips))
     assert np.abs(np.asarray(moving.actual) - tips).max() < 2e-6
-
-
-def one_mode(frequency, ratio, mass=80.0):
-    """Return a slide along x with one mode, hanging at the tool of a rigid frame."""
-    omega = 2 * math.pi * frequency
-    slide = rb.PrismaticJoint(
-        "slide",
-        axis=(1, 0, 0),
-        stiffness=mass * omega**2,
-        damping=2 * ratio * omega * mass,
-    )
-    return rb.build(
-        [slide, rb.RigidBody(mass, (0.0, 0.0, 0.0), np.eye(3)), rb.Tool("tool")]
-    )
 
 
 @jax.jit
@@ -192,15 +170,12 @@ def test_gradient_along_a_smooth_direction_matches_differences():
 def test_all_adjoints_give_the_same_coupled_gradient():
     weights = jnp.asarray(np.random.default_rng(6).normal(size=path().shape))
     stock = wp.box([0, 0, -2e-3], [14e-3, 12e-3, 0], 0.25e-3, interval_counts=(6, 6, 1))
-    gradients = [
-        jax.jit(
-            jax.grad(lambda p, a=adjoint: jnp.sum(weights * run(p, a, stock).actual))
-        )(jnp.asarray(path()))
-        for adjoint in (ThroughSamples(), pr.ThroughRays(), pr.ThroughPoses())
-    ]
-    scale = float(jnp.max(jnp.abs(gradients[0])))
-    for found in gradients[1:]:
-        np.testing.assert_allclose(found, gradients[0], atol=1e-9 * scale)
+
+    def gradient(adjoint):
+        total = lambda p: jnp.sum(weights * run(p, adjoint, stock).actual)
+        return jax.jit(jax.grad(total))(jnp.asarray(path()))
+
+    assert_adjoints_agree(gradient, rtol=1e-7)
 
 
 # Cutters and poses besides the flat one that stands upright.
@@ -284,8 +259,9 @@ def test_a_long_period_looks_up_the_stock_on_its_way():
     assert np.abs(slope - wanted).max() < 1e-3 * np.abs(wanted).max()
 
 
-def test_looks_that_do_not_divide_a_period_are_refused():
-    with pytest.raises(ValueError):
+@pytest.mark.parametrize(("substeps", "looks"), [(8, 3), (4, 3), (4, 4)])
+def test_looks_that_do_not_divide_a_period_or_are_single_are_refused(substeps, looks):
+    with pytest.raises(ValueError, match="updates_per_period"):
         pr.choose_engagement(
-            STOCK, MILL, axial_depth=1e-3, substeps=8, updates_per_period=3
+            STOCK, MILL, axial_depth=1e-3, substeps=substeps, updates_per_period=looks
         )

@@ -12,34 +12,11 @@ import pytest
 from helpers import PAPER_LAW
 
 from diffmill import cutter as ct, process as pr, robot as rb, sim, workpiece as wp
+from machines import one_mode, planar_arm
 
 PERIOD, SUBSTEPS = 3.75e-3, 8
 STEP = PERIOD / SUBSTEPS
 REFERENCE = sim.RungeKutta4()
-
-
-def planar_arm():
-    """Return a 2R arm in the vertical plane, soft enough to swing far."""
-    axis = (0.0, -1.0, 0.0)
-    return rb.build(
-        [
-            rb.RevoluteJoint("shoulder", axis, stiffness=900.0, damping=2.0),
-            rb.RigidBody(3.0, (0.3, 0.0, 0.0), np.diag([0.05, 0.06, 0.05])),
-            rb.FixedTranslation((0.7, 0.0, 0.0)),
-            rb.RevoluteJoint("elbow", axis, stiffness=400.0, damping=1.0),
-            rb.RigidBody(2.0, (0.2, 0.0, 0.0), np.diag([0.02, 0.03, 0.02])),
-            rb.FixedTranslation((0.5, 0.0, 0.0)),
-        ]
-    )
-
-
-def one_mode(frequency=10.0, ratio=0.02, mass=80.0):
-    """Return a slide along x with one mode."""
-    omega = 2 * math.pi * frequency
-    slide = rb.PrismaticJoint(
-        "slide", (1, 0, 0), stiffness=mass * omega**2, damping=2 * ratio * omega * mass
-    )
-    return rb.build([slide, rb.RigidBody(mass, (0, 0, 0), np.eye(3)), rb.Tool("tool")])
 
 
 @functools.cache

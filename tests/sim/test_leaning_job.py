@@ -4,42 +4,20 @@ import numpy as np
 import pytest
 
 import diffmill as dm
+from small_job import ARM, write_job
 
-JOB = """
-[cutter]
-kind = "ball"
-diameter = "6 mm"
-teeth = 2
-
-[spindle]
-speed = "8000 rpm"
-
-[force]
-K_tc = "989.8 N/mm^2"
-K_rc = "337.3 N/mm^2"
-K_ac = "66.9 N/mm^2"
-
-[stock]
-lower = ["0 mm", "-6 mm", "-3 mm"]
-upper = ["12 mm", "6 mm", "0 mm"]
-spacing = "0.3 mm"
-
-[program]
-file = "path.csv"
-
-[robot]
-{robot}
-
-[simulation]
-{simulation}
-"""
-ARM = """model = "reis_rv130_like"
-work_in_base = { position = ["1514 mm", "-8.5 mm", "936 mm"], \
-rpy = ["0 deg", "0 deg", "0 deg"] }"""
+JOB = {
+    "cutter": {"kind": "ball", "diameter": "6 mm", "teeth": 2},
+    "stock.lower": ["0 mm", "-6 mm", "-3 mm"],
+    "stock.upper": ["12 mm", "6 mm", "0 mm"],
+    "stock.spacing": "0.3 mm",
+    "program.file": "path.csv",
+}
+REIS = {"robot": ARM, "robot.work_in_base.position": ["1514 mm", "-8.5 mm", "936 mm"]}
 
 
-def write_job(folder, lean, robot, simulation=""):
-    """Write a job that crosses a block with a leaning ball, 0.5 mm deep."""
+def load(folder, lean, *changes):
+    """Return a job that crosses a block with a leaning ball, 0.5 mm deep."""
     rows = 60
     x = np.linspace(-4.0, 5.0, rows)
     z = 3 - 3 * np.cos(lean) - 0.5
@@ -50,15 +28,13 @@ def write_job(folder, lean, robot, simulation=""):
         for k in range(rows)
     ]
     (folder / "path.csv").write_text("\n".join(lines) + "\n")
-    path = folder / "job.toml"
-    path.write_text(JOB.format(robot=robot, simulation=simulation))
-    return dm.load_job(path)
+    return dm.load_job(write_job(folder, JOB, *changes))
 
 
 @pytest.mark.slow
 def test_a_leaning_ball_takes_what_an_upright_one_takes(tmp_path):
-    upright = dm.simulate(write_job(tmp_path, 0.0, "rigid = true"))
-    leaning = dm.simulate(write_job(tmp_path, 0.3, "rigid = true"))
+    upright = dm.simulate(load(tmp_path, 0.0))
+    leaning = dm.simulate(load(tmp_path, 0.3))
     whole = float(upright.removed_volume.sum())
     assert whole > 5e-9
     np.testing.assert_allclose(float(leaning.removed_volume.sum()), whole, rtol=2e-3)
@@ -68,9 +44,9 @@ def test_a_leaning_ball_takes_what_an_upright_one_takes(tmp_path):
 
 @pytest.mark.slow
 def test_an_arm_that_tilts_its_tool_cuts_almost_as_one_that_does_not(tmp_path):
-    rigid = dm.simulate(write_job(tmp_path, 0.0, ARM))
-    tilting = dm.simulate(write_job(tmp_path, 0.0, ARM, "tool_tilt = true"))
-    leaning = dm.simulate(write_job(tmp_path, 0.2, ARM))
+    rigid = dm.simulate(load(tmp_path, 0.0, REIS))
+    tilting = dm.simulate(load(tmp_path, 0.0, REIS, {"simulation.tool_tilt": True}))
+    leaning = dm.simulate(load(tmp_path, 0.2, REIS))
     scale = float(np.abs(rigid.deviation).max())
     assert 1e-6 < scale < 1e-3
     # The arm turns its tool by less than 1 mrad.

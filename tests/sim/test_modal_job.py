@@ -6,7 +6,7 @@ import math
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from slides_job import JOB, write_slides_job
+from slides_job import with_machine, write_slides_job
 
 import diffmill as dm
 
@@ -33,11 +33,9 @@ def slides_modes(directions=((1, 0, 0), (0, 1, 0), (0, 0, 1)), head="[machine]\n
 
 def write_modal_job(folder, modes, *lines):
     """Write a job with some modes instead of its slides."""
-    write_slides_job(folder)
-    robot, rest = JOB.index("[robot]"), JOB.index("[simulation]")
+    text = write_slides_job(folder, *lines).read_text()
     file = folder / "modal.toml"
-    more = "".join(f"{line}\n" for line in lines)
-    file.write_text(JOB[:robot] + modes + JOB[rest:] + more)
+    file.write_text(with_machine(text, modes))
     return file
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from helpers import PAPER_LAW
 
+import machines
 from diffmill import cutter as ct, process as pr, robot as rb, sim, workpiece as wp
 
 PERIOD = 2.5e-3
@@ -120,13 +121,7 @@ def gantry():
     Dampers are as their springs, so that none couples modes, and nothing has weight.
     """
     K = 80.0 * (2 * np.pi * 30.0) ** 2
-    joints = [
-        rb.PrismaticJoint(n, axis=a, stiffness=K, damping=2e-4 * K)
-        for n, a in (("x", (1, 0, 0)), ("y", (0, 1, 0)), ("z", (0, 0, 1)))
-    ]
-    swivel = rb.RevoluteJoint("b", axis=(0, 1, 0), stiffness=4e4, damping=8.0)
-    body = rb.RigidBody(80.0, (0.0, 0.0, 0.1), np.eye(3))
-    robot = rb.build([*joints, swivel, body, rb.Tool("tool", (0.0, 0.0, -0.1))])
+    robot = machines.gantry(2e-4 * K, swivel_damping=8.0)
     return eqx.tree_at(lambda r: r.gravity, robot, jnp.zeros(3))
 
 
@@ -138,18 +133,10 @@ def cut(rows=40):
     return np.stack([x, y, np.full(rows, -0.6e-3)], axis=1)
 
 
-def arm_motors(robot, tips, T_base_work):
-    """Return the motors that hold the tips, the weight's sag made up for."""
-    Ts = jnp.broadcast_to(jnp.asarray(T_base_work)[None], (len(tips), 4, 4))
-    Ts = Ts.at[:, :3, 3].add(jnp.asarray(tips) @ T_base_work[:3, :3].T)
-    q = rb.inverse_kinematics_path(robot, Ts, robot.home).q
-    return jax.vmap(lambda row: rb.motor_positions(robot, row))(q)
-
-
 def compare(robot, T_base_work, substeps):
     """Return deviations of an arm and of its modes in the same cut."""
     tips, known = cut(), process(substeps)
-    motors = arm_motors(robot, tips, T_base_work)
+    motors = machines.motors_of(robot, tips, T_base_work)
     q = np.asarray(motors[len(tips) // 2])
     arm = sim.ElasticArm(robot=robot, T_base_work=T_base_work)
     ran = jax.jit(lambda m: arm.run(known, m))(motors)
@@ -186,17 +173,21 @@ def test_the_receptance_of_tip_modes_is_that_of_their_robot():
     np.testing.assert_allclose(found, R.T @ G @ R, atol=1e-9 * np.abs(G).max())
 
 
+def scaled_modes(log_scale):
+    """Return two modes with scaled frequencies, damping ratios and shapes."""
+    return rb.TipModes(
+        jnp.array([40.0, 55.0]) * jnp.exp(log_scale[0]),
+        jnp.array([0.05, 0.08]) * jnp.exp(log_scale[1]),
+        jnp.array([[0.1, 0.02, 0.0], [-0.02, 0.12, 0.05]]) * jnp.exp(log_scale[2]),
+    )
+
+
 @pytest.mark.slow
 def test_the_deviation_follows_the_modes_as_its_derivative_says():
     tips, known = jnp.asarray(cut(24)), process(4)
 
     def deviation(log_scale):
-        modes = rb.TipModes(
-            jnp.array([40.0, 55.0]) * jnp.exp(log_scale[0]),
-            jnp.array([0.05, 0.08]) * jnp.exp(log_scale[1]),
-            jnp.array([[0.1, 0.02, 0.0], [-0.02, 0.12, 0.05]]) * jnp.exp(log_scale[2]),
-        )
-        return sim.ModalMachine(modes).run(known, tips).actual - tips
+        return sim.ModalMachine(scaled_modes(log_scale)).run(known, tips).actual - tips
 
     deviation = jax.jit(deviation)
     start = jnp.zeros(3)
@@ -215,12 +206,7 @@ def test_a_slope_may_be_differentiated_once_more():
     weights = jnp.asarray(np.random.default_rng(2).normal(size=tips.shape))
 
     def total(log_scale):
-        modes = rb.TipModes(
-            jnp.array([40.0, 55.0]) * jnp.exp(log_scale[0]),
-            jnp.array([0.05, 0.08]) * jnp.exp(log_scale[1]),
-            jnp.array([[0.1, 0.02, 0.0], [-0.02, 0.12, 0.05]]) * jnp.exp(log_scale[2]),
-        )
-        actual = sim.ModalMachine(modes).run(known, tips).actual
+        actual = sim.ModalMachine(scaled_modes(log_scale)).run(known, tips).actual
         return 1e6 * jnp.sum(weights * (actual - tips))
 
     slope = jax.jit(jax.grad(total))

@@ -18,6 +18,7 @@ from diffmill import (
     sim,
     workpiece as wp,
 )
+from machines import home_frame, motors_of
 
 R = 5e-3
 MILL = ct.flat_end_mill(2 * R, 2)
@@ -298,12 +299,8 @@ def test_a_robot_that_cuts_meets_the_force_of_its_own_path():
         robot,
         (30 * robot.joint_stiffness, 30 * robot.joint_damping),
     )
-    frame = np.eye(4)
-    frame[:3, 3] = np.asarray(rb.forward_kinematics(robot, robot.home))[:3, 3]
-    tips = straight(1e-3)[20:]
-    Ts = jnp.broadcast_to(jnp.asarray(frame)[None], (len(tips), 4, 4))
-    q = rb.inverse_kinematics_path(robot, Ts.at[:, :3, 3].add(tips), robot.home).q
-    motors = jax.vmap(lambda row: rb.motor_positions(robot, row))(q)
+    frame, tips = home_frame(robot), straight(1e-3)[20:]
+    motors = motors_of(robot, tips, frame)
     plan = pr.choose_engagement(STOCK, MILL, axial_depth=1.6e-3, chip="point_cloud")
     process = pr.Process(STOCK, MILL, PAPER_LAW, math.pi / 3.75e-3, plan)
     machine = sim.ElasticArm(robot, frame)

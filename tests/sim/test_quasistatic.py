@@ -11,10 +11,7 @@ from helpers import PAPER_LAW, relative
 
 from diffmill import (
     RESULTS,
-    CorrectionSettings,
-    Job,
     SimulationFailed,
-    SimulationSettings,
     cutter as ct,
     process as pr,
     robot as rb,
@@ -22,22 +19,12 @@ from diffmill import (
     toolpath as tp,
     workpiece as wp,
 )
+from machines import MASS, STIFFNESS, job_of, slides
 
 MILL = ct.flat_end_mill(10e-3, 2)
 PERIOD = 3.75e-3
 STOCK = wp.box([0, 0, -2e-3], [10e-3, 8e-3, 0], 0.5e-3, interval_counts=(4, 4, 1))
 PLAN = pr.choose_engagement(STOCK, MILL, axial_depth=1.5e-3)
-STIFFNESS, MASS = np.array([1.5e6, 2.5e6, 4e6]), 80.0
-
-
-def slides(ratio):
-    """Return three slides, the mass on the last, each damped by `ratio` alone."""
-    elements = []
-    for name, axis, K in zip("xyz", np.eye(3), STIFFNESS, strict=True):
-        D = 2 * ratio * math.sqrt(K * MASS)
-        joint = rb.PrismaticJoint(name, tuple(axis), stiffness=float(K), damping=D)
-        elements.append(joint)
-    return rb.build([*elements, rb.RigidBody(MASS, (0, 0, 0), np.eye(3))])
 
 
 def slot(count=48):
@@ -181,25 +168,14 @@ def test_a_run_without_a_balance_says_so():
 @pytest.mark.slow
 def test_a_message_names_the_gaps_that_find_no_balance():
     tips = beside(0.0, 6)
-    job = Job(
-        name="gaps",
-        cutter=MILL,
-        law=PAPER_LAW,
-        spindle_speed=math.pi / PERIOD,
-        stock=STOCK,
-        path=tp.Path.upright(PERIOD * np.arange(len(tips)), tips),
-        robot=slides(1.0).with_backlash([GAP] * 3),
-        T_base_work=np.eye(4),
-        joint_start=None,
-        simulation=SimulationSettings(
-            angles=PLAN.angles,
-            substeps=PLAN.substeps,
-            element_height=0.5e-3,
-            axial_depth=1.5e-3,
-            mode="quasistatic",
-            is_gravity_compensated=False,
-        ),
-        correction=CorrectionSettings(),
+    job = job_of(
+        slides(1.0).with_backlash([GAP] * 3),
+        tp.Path.upright(PERIOD * np.arange(len(tips)), tips),
+        STOCK,
+        angles=PLAN.angles,
+        substeps=PLAN.substeps,
+        mode="quasistatic",
+        is_gravity_compensated=False,
     )
     with pytest.raises(SimulationFailed, match="backlash may find no balance"):
         sim.simulate(job)

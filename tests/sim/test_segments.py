@@ -14,10 +14,10 @@ from diffmill import (
     cutter as ct,
     cutting,
     process as pr,
-    robot as rb,
     sim,
     workpiece as wp,
 )
+from machines import slides
 
 PERIOD = 2.5e-3
 # Three teeth of unlike force: a segment must begin with the right one.
@@ -31,20 +31,10 @@ ROWS = 49
 BREAKS = (0, 16, 32, 48)
 
 
-def gantry():
-    """Return three soft slides at right angles with a milling spindle."""
-    stiffness = 80.0 * (2 * np.pi * 30.0) ** 2
-    slides = [
-        rb.PrismaticJoint(n, axis=a, stiffness=stiffness, damping=600.0)
-        for n, a in (("x", (1, 0, 0)), ("y", (0, 1, 0)), ("z", (0, 0, 1)))
-    ]
-    body = rb.RigidBody(80.0, (0.0, 0.0, 0.0), np.eye(3))
-    return rb.build([*slides, body, rb.Tool("tool")])
-
-
+ROBOT = slides(0.02, [80.0 * (2 * np.pi * 30.0) ** 2] * 3)
 MACHINES = {
-    "elastic": sim.ElasticArm(gantry(), np.eye(4)),
-    "quasi-static": sim.QuasiStaticArm(gantry(), np.eye(4)),
+    "elastic": sim.ElasticArm(ROBOT, np.eye(4)),
+    "quasi-static": sim.QuasiStaticArm(ROBOT, np.eye(4)),
 }
 PROCESS = pr.Process(
     STOCK,

@@ -8,62 +8,32 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import PAPER_LAW
+from helpers import PAPER_LAW, cut_rms
 
 from diffmill import (
-    CorrectionSettings,
-    Job,
     ScatterSettings,
-    SimulationSettings,
     cutter as ct,
     cutting,
     process as pr,
-    robot as rb,
     sim,
     simulate,
     toolpath as tp,
     workpiece as wp,
 )
 from diffmill.correction import Ensemble
+from machines import MASS, STIFFNESS, job_of, slides
 
 PERIOD = 3.75e-3
-STIFFNESS, MASS = np.array([1.5e6, 2.5e6, 4e6]), 80.0
 COUNT = 40
-
-
-def slides():
-    """Return three slides, the mass on the last, each well damped."""
-    elements = []
-    for name, axis, K in zip("xyz", np.eye(3), STIFFNESS, strict=True):
-        D = 2 * 0.5 * math.sqrt(K * MASS)
-        joint = rb.PrismaticJoint(name, tuple(axis), stiffness=float(K), damping=D)
-        elements.append(joint)
-    return rb.build([*elements, rb.RigidBody(MASS, (0, 0, 0), np.eye(3))])
 
 
 @pytest.fixture(scope="module")
 def job():
     tips = np.tile([-5.5e-3, 4e-3, -1e-3], (COUNT, 1))
     tips[:, 0] += 0.3e-3 * np.arange(COUNT)
-    return Job(
-        name="slot",
-        cutter=ct.flat_end_mill(10e-3, 2),
-        law=PAPER_LAW,
-        spindle_speed=2 * math.pi / (2 * PERIOD),
-        stock=wp.box([0, 0, -2e-3], [10e-3, 8e-3, 0], 0.5e-3),
-        path=tp.Path.upright(PERIOD * np.arange(COUNT), tips),
-        robot=slides(),
-        T_base_work=np.eye(4),
-        joint_start=None,
-        simulation=SimulationSettings(
-            angles=192,
-            substeps=2,
-            element_height=0.5e-3,
-            axial_depth=1.5e-3,
-            mode="quasistatic",
-        ),
-        correction=CorrectionSettings(),
-    )
+    path = tp.Path.upright(PERIOD * np.arange(COUNT), tips)
+    stock = wp.box([0, 0, -2e-3], [10e-3, 8e-3, 0], 0.5e-3)
+    return job_of(slides(), path, stock, angles=192, substeps=2, mode="quasistatic")
 
 
 @pytest.fixture(scope="module")
@@ -203,18 +173,6 @@ def test_of_a_force_its_coefficients_scatter_and_nothing_else(job):
     assert float(scaled.law.K_tc) == pytest.approx(2 * float(PAPER_LAW.K_tc))
 
 
-def test_a_look_is_no_single_sub_step(job):
-    for updates_per_period in (3, 4):
-        with pytest.raises(ValueError, match="updates_per_period"):
-            pr.choose_engagement(
-                job.stock,
-                job.cutter,
-                axial_depth=1e-3,
-                substeps=4,
-                updates_per_period=updates_per_period,
-            )
-
-
 def test_scaling_reaches_every_parameter_and_no_other(job):
     names = job.parameter_names
     scaled = job.with_scaled(jnp.log(2.0 + jnp.arange(1.0 * len(names))))
@@ -240,16 +198,14 @@ def test_a_mismatch_is_the_run_of_a_scaled_job(job):
     solution = simulate(job)
     found = {x.kind: x for x in sim.mismatch(job, solution, 0.2)}
     others = {"stiffness": ("K x", "K y", "K z"), "force": PAPER_LAW.parameter_names}
-    cuts = np.asarray(solution.is_cutting)
     for kind, names in others.items():
         is_off = np.isin(job.parameter_names, names)
         for factor, left in ((0.8, found[kind].less), (1.2, found[kind].more)):
             scale = np.where(is_off, math.log(factor), 0.0)
             run = simulate(job.with_precision().with_scaled(jnp.asarray(scale)))
-            error = np.asarray(run.contour_error)[cuts]
-            assert left == pytest.approx(math.sqrt(np.mean(error**2)), rel=1e-9)
+            assert left == pytest.approx(cut_rms(run), rel=1e-9)
     # A softer slide is pushed away in proportion, and pushed back a little less.
-    asis = math.sqrt(np.mean(np.asarray(solution.contour_error)[cuts] ** 2))
+    asis = cut_rms(solution)
     assert found["stiffness"].less / asis == pytest.approx(1 / 0.8, rel=0.05)
     assert found["force"].more / asis == pytest.approx(1.2, rel=0.05)
     assert found["force"].worse == found["force"].more

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import signal
+from slides_job import ROBOT as SLIDES
 
 from diffmill import (
     JobError,
@@ -16,10 +17,11 @@ from diffmill import (
     examples,
     load_job,
     process as pr,
-    robot as rb,
     sim,
     workpiece as wp,
 )
+from machines import one_mode
+from small_job import arm_text, body, slide, write_job
 
 # Four teeth in a slot: the slope of the force in x does not depend on the angle.
 MILL = ct.flat_end_mill(10e-3, 4)
@@ -32,21 +34,7 @@ STOCK = wp.box([0, 0, -2e-3], [14e-3, 12e-3, 0], 0.25e-3, interval_counts=(6, 6,
 # Sub-steps short enough that the midpoint rule keeps the mode within 0.3 %.
 PLAN = pr.choose_engagement(STOCK, MILL, axial_depth=1.5e-3, substeps=24)
 PROCESS = pr.Process(STOCK, MILL, LAW, 2 * math.pi / (4 * PERIOD), PLAN)
-
-
-def one_mode():
-    """Return a slide along x with one mode."""
-    omega = 2 * math.pi * FREQUENCY
-    mass = STIFFNESS / omega**2
-    slide = rb.PrismaticJoint(
-        "slide",
-        axis=(1, 0, 0),
-        stiffness=STIFFNESS,
-        damping=2 * RATIO * omega * mass,
-    )
-    return rb.build(
-        [slide, rb.RigidBody(mass, (0.0, 0.0, 0.0), np.eye(3)), rb.Tool("tool")]
-    )
+ROBOT = one_mode(FREQUENCY, RATIO, STIFFNESS / (2 * math.pi * FREQUENCY) ** 2)
 
 
 def limit():
@@ -73,10 +61,11 @@ def slot(depth, feed=0.1e-3, rows=124):
     return jnp.asarray(feed * np.arange(rows)[:, None]), frame
 
 
-def growth(depth):
-    q, frame = slot(depth)
-    arm = sim.ElasticArm(one_mode(), frame)
-    return sim.Stability.along(arm, PROCESS, q, q, [2, 110, 120])
+def growth(depth, q=None, rows=(2, 110, 120), **options):
+    straight, frame = slot(depth)
+    q = straight if q is None else q
+    arm = sim.ElasticArm(ROBOT, frame)
+    return sim.Stability.along(arm, PROCESS, q, q, list(rows), **options)
 
 
 @functools.cache
@@ -140,25 +129,19 @@ def test_growth_that_is_too_brief_is_a_note():
 def test_a_tool_that_nearly_stands_does_not_chatter():
     feed = np.full(123, 0.1e-3)
     feed[100:] = 0.005e-3
-    q, frame = slot(1.1 * limit()[0])
+    depth = 1.1 * limit()[0]
     q = jnp.asarray(np.concatenate([[0.0], np.cumsum(feed)])[:, None])
-    arm = sim.ElasticArm(one_mode(), frame)
-    found = sim.Stability.along(arm, PROCESS, q, q, [2, 110, 120])
+    found = growth(depth, q)
     assert found.is_unstable[1:].all() and found.warning() is None
     # Whoever says where the tool cuts can say so of these rows, too.
     asked = np.arange(124) >= 60
-    found = sim.Stability.along(arm, PROCESS, q, q, [2, 110, 120], is_moving_cut=asked)
-    assert found.has_chatter[1:].all()
+    assert growth(depth, q, is_moving_cut=asked).has_chatter[1:].all()
 
 
 def test_in_a_pause_a_vibration_decays_as_in_the_air():
-    q, frame = slot(1.1 * limit()[0])
-    arm = sim.ElasticArm(one_mode(), frame)
     rows = np.arange(124)
     cuts = (rows >= 60) & ((rows < 85) | (rows >= 105))
-    found = sim.Stability.along(
-        arm, PROCESS, q, q, [60, 80, 110, 120], is_moving_cut=cuts
-    )
+    found = growth(1.1 * limit()[0], rows=(60, 80, 110, 120), is_moving_cut=cuts)
     decay = RATIO * 2 * math.pi * FREQUENCY * PERIOD
     np.testing.assert_allclose(found.free_growth, -decay, rtol=1e-9)
     # Periods that are nearest to each row, and 20 between the second and the third.
@@ -168,43 +151,19 @@ def test_in_a_pause_a_vibration_decays_as_in_the_air():
     np.testing.assert_allclose(found.log_growth, wanted, rtol=1e-9)
 
 
-JOB = """
-[cutter]
-kind = "flat"
-diameter = "10 mm"
-teeth = 2
-flute_length = "22 mm"
-[spindle]
-speed = "8000 rpm"
-[force]
-K_tc = "989.8 N/mm^2"
-K_rc = "337.3 N/mm^2"
-K_ac = "66.9 N/mm^2"
-[stock]
-lower = ["0 mm", "0 mm", "-3 mm"]
-upper = ["20 mm", "10 mm", "0 mm"]
-spacing = "0.4 mm"
-[program]
-file = "part.ngc"
-[robot]
-{robot}
-[simulation]
-stability = {stability}
-"""
+JOB = {
+    "cutter.flute_length": "22 mm",
+    "stock.upper": ["20 mm", "10 mm", "0 mm"],
+    "stock.spacing": "0.4 mm",
+    "simulation.stability": "quick",
+}
 PROGRAM = "G21 G17 G90 G94\nG0 X-6 Y5 Z1\nG0 Z-1\nG1 X4 F3000\nM2\n"
-
-
-def write_job(folder, robot, stability):
-    (folder / "part.ngc").write_text(PROGRAM)
-    text = JOB.format(robot=robot, stability=stability)
-    (folder / "job.toml").write_text(text)
-    return folder / "job.toml"
 
 
 def test_what_cannot_vibrate_is_not_asked(tmp_path):
     with pytest.raises(JobError, match="rigid = true"):
-        load_job(write_job(tmp_path, "rigid = true", "true"))
-    job = load_job(write_job(tmp_path, "rigid = true", '"quick"'))
+        load_job(write_job(tmp_path, JOB, {"simulation.stability": True}))
+    job = load_job(write_job(tmp_path, JOB))
     assert job.simulation.stability == "quick"
 
 
@@ -214,45 +173,41 @@ DAMPING = 2 * RATIO * STIFFNESS / (2 * math.pi * FREQUENCY)
 def slot_in_slides(folder, share):
     """Return a job that cuts a slot with one soft slide."""
     mass = STIFFNESS / (2 * math.pi * FREQUENCY) ** 2
-    stiff = 'stiffness = "1e10 N/m"\ndamping = "1e6 N*s/m"\n'
-    soft = f'stiffness = "{STIFFNESS} N/m"\ndamping = "{DAMPING} N*s/m"\n'
-    axis = '[[elements]]\nkind = "prismatic"\nname = "{}"\naxis = {}\n{}'
-    (folder / "arm.toml").write_text(
-        'name = "slides"\n'
-        + axis.format("y", [0, 1, 0], stiff)
-        + axis.format("z", [0, 0, 1], stiff)
-        + axis.format("x", [1, 0, 0], soft)
-        + f'[[elements]]\nkind = "body"\nmass = "{mass} kg"\n'
-        'inertia = ["1 kg*m^2", "1 kg*m^2", "1 kg*m^2"]\n'
-        '[[elements]]\nkind = "tool"\nname = "tool"\n'
+    stiff = {"stiffness": "1e10 N/m", "damping": "1e6 N*s/m"}
+    soft = {"stiffness": f"{STIFFNESS} N/m", "damping": f"{DAMPING} N*s/m"}
+    arm = arm_text(
+        slide("y", 1, **stiff),
+        slide("z", 2, **stiff),
+        slide("x", 0, **soft),
+        body(f"{mass} kg"),
+        {"kind": "tool", "name": "tool"},
     )
-    robot = 'file = "arm.toml"\n'
-    robot += 'work_in_base = { position = ["0 mm", "0 mm", "0 mm"] }'
-    file = write_job(folder, robot, '"quick"')
-    text = file.read_text().replace("teeth = 2", "teeth = 4").replace("8000", "4000")
-    file.write_text(text.replace("0.4 mm", "0.25 mm"))
+    (folder / "arm.toml").write_text(arm)
+    changes = {
+        "cutter.teeth": 4,
+        "spindle.speed": "4000 rpm",
+        "stock.spacing": "0.25 mm",
+        "robot": SLIDES,
+    }
     program = PROGRAM.replace("Z-1", f"Z{-1e3 * share * limit()[0]:.6f}")
-    (folder / "part.ngc").write_text(program.replace("F3000", "F1600"))
-    return load_job(file)
+    program = program.replace("F3000", "F1600")
+    return load_job(write_job(folder, JOB, changes, program=program))
 
 
-MODE = """
-[[machine.modes]]
-frequency = "60 Hz"
-damping_ratio = 0.04
-direction = [1, 0, 0]
-stiffness = "1 N/um"
-"""
+MODE = {
+    "frequency": "60 Hz",
+    "damping_ratio": 0.04,
+    "direction": [1, 0, 0],
+    "stiffness": "1 N/um",
+}
 
 
 def test_a_quick_look_is_where_chips_and_time_are(tmp_path, monkeypatch):
     """Not where the tool stands, and not in a chip that does not last."""
-    file = write_job(tmp_path, "rigid = true", '"quick"')
-    file.write_text(file.read_text().replace("[robot]\nrigid = true\n", MODE))
     stops = "".join(f"G1 X{x} F3000\nG4 P0.2\n" for x in (2, 6, 10, 14))
     program = PROGRAM.replace("G1 X4 F3000\n", stops)
-    (tmp_path / "part.ngc").write_text(program)
-    job = load_job(file)
+    modes = {"robot": None, "machine.modes": [MODE]}
+    job = load_job(write_job(tmp_path, JOB, modes, program=program))
     tips = np.asarray(job.path.positions)
     x = tips[:, 0]
     way = np.linalg.norm(np.diff(tips, axis=0, prepend=tips[:1]), axis=1)
@@ -344,7 +299,7 @@ def test_a_quick_look_finds_chatter_where_there_is_some(tmp_path, share):
 def test_the_simulation_grows_and_decays_as_predicted(share):
     depth = share * limit()[0]
     theta, frame = slot(depth)
-    run = sim.ElasticArm(one_mode(), frame).run(PROCESS, theta)
+    run = sim.ElasticArm(ROBOT, frame).run(PROCESS, theta)
     # The entry shakes the slide; one vibration is left, and a constant deflection.
     x = (np.asarray(run.joint_positions) - np.asarray(theta))[70:, 0]
     rows = np.column_stack([x[1:-1], x[:-2], np.ones(len(x) - 2)])
@@ -356,7 +311,5 @@ def test_the_simulation_grows_and_decays_as_predicted(share):
 
 
 def test_a_row_that_is_not_there_is_refused():
-    q, frame = slot(1e-3)
-    arm = sim.ElasticArm(one_mode(), frame)
     with pytest.raises(ValueError, match="from 1 to 123"):
-        sim.Stability.along(arm, PROCESS, q, q, [0])
+        growth(1e-3, rows=(0,))

@@ -9,6 +9,7 @@ import pytest
 from helpers import PAPER_LAW
 
 from diffmill import cutter as ct, process as pr, robot as rb, sim, workpiece as wp
+from machines import home_frame, motors_of
 
 MILL = ct.flat_end_mill(10e-3, 2)
 PERIOD, FEED, ROWS = 3.75e-3, 0.1875e-3, 250
@@ -17,23 +18,13 @@ STOCK = wp.box([0, 15e-3, -3e-3], [45e-3, 35e-3, 0], 0.5e-3, interval_counts=(6,
 PLAN = pr.choose_engagement(STOCK, MILL, axial_depth=2e-3)
 
 
-def work_frame():
-    frame = np.eye(4)
-    tip = np.asarray(rb.forward_kinematics(ROBOT, ROBOT.home))[:3, 3]
-    frame[:3, 3] = tip - np.array([25e-3, 25e-3, 0])
-    return frame
-
-
-FRAME = work_frame()
+FRAME = home_frame(ROBOT)
+FRAME[:2, 3] -= 25e-3
 ARM = sim.ElasticArm(ROBOT, FRAME)
 PROCESS = pr.Process(STOCK, MILL, PAPER_LAW, np.pi / PERIOD, PLAN)
 
 
-@jax.jit
-def motors(tips):
-    Ts = jnp.broadcast_to(jnp.asarray(FRAME)[None], (tips.shape[0], 4, 4))
-    q = rb.inverse_kinematics_path(ROBOT, Ts.at[:, :3, 3].add(tips), ROBOT.home).q
-    return jax.vmap(lambda row: rb.motor_positions(ROBOT, row))(q)
+motors = jax.jit(lambda tips: motors_of(ROBOT, tips, FRAME))
 
 
 @functools.cache

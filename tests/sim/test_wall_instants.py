@@ -10,6 +10,7 @@ from references import wall_cut
 
 import diffmill as dm
 from diffmill import cutter as ct, process as pr, workpiece as wp
+from small_job import write_job
 
 ROWS, SUBSTEPS, FEED = 12, 40, 0.1e-3
 
@@ -101,33 +102,14 @@ def test_a_helix_leaves_the_profile_of_theory(cut):
     np.testing.assert_allclose(made.error, made.expected, atol=0.05 * made.peak)
 
 
-TURNED = """
-[cutter]
-kind = "flat"
-diameter = "10 mm"
-teeth = 2
-helix_angle = "30 deg"
-[spindle]
-speed = "8000 rpm"
-[force]
-K_tc = "989.8 N/mm^2"
-K_rc = "337.3 N/mm^2"
-K_ac = "66.9 N/mm^2"
-K_te = "3.0 N/mm"
-K_re = "15.4 N/mm"
-[stock]
-lower = {lower}
-upper = {upper}
-spacing = "0.25 mm"
-[program]
-file = "turned.ngc"
-acceleration = "20 m/s^2"
-[robot]
-file = "arm.toml"
-work_in_base = {{ position = ["0 mm", "0 mm", "0 mm"] }}
-[robot.bending_tool]
-overhang = "40 mm"
-"""
+TURNED = {
+    "cutter.helix_angle": "30 deg",
+    "force.K_te": "3.0 N/mm",
+    "force.K_re": "15.4 N/mm",
+    "stock.spacing": "0.25 mm",
+    "program.acceleration": "20 m/s^2",
+    "robot": slides_job.ROBOT | {"bending_tool": {"overhang": "40 mm"}},
+}
 # Two ways to cut 6 mm off a side by up-milling, turned by 90 degrees about z.
 WAYS = {
     "x": (["0 mm", "-1 mm", "-3 mm"], ["12 mm", "8 mm", "0 mm"], "X-7", "X9"),
@@ -141,11 +123,9 @@ def turned(folder, way):
     (folder / "arm.toml").write_text(
         slides_job.ARM.replace("1.0e6 N/m", "1.0e7 N/m").replace("2 kN", "20 kN")
     )
-    (folder / "turned.ngc").write_text(
-        f"G21 G90 G94\nG0 {start} Z-2\nG1 {stop} F3000\nM2\n"
-    )
-    (folder / "job.toml").write_text(TURNED.format(lower=lower, upper=upper))
-    done = dm.simulate(dm.load_job(folder / "job.toml"))
+    program = f"G21 G90 G94\nG0 {start} Z-2\nG1 {stop} F3000\nM2\n"
+    stock = {"stock.lower": lower, "stock.upper": upper}
+    done = dm.simulate(dm.load_job(write_job(folder, TURNED, stock, program=program)))
     along, across = (0, 1) if way == "x" else (1, 0)
     left = 1.0 if way == "x" else -1.0
     found = wp.SurfaceError.of_stock(done.stock, done.rigid.stock, leaves_out_raw=True)
