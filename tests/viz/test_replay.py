@@ -5,46 +5,29 @@ import pytest
 
 import diffmill as dm
 from diffmill.viz import figure_inputs, write_figures
+from small_job import write_job
 
-JOB = """
-[cutter]
-{cutter}
-[spindle]
-speed = "8000 rpm"
-[force]
-K_tc = "989.8 N/mm^2"
-K_rc = "337.3 N/mm^2"
-K_ac = "66.9 N/mm^2"
-K_te = "3.0 N/mm"
-K_re = "15.4 N/mm"
-{force}
-[stock]
-lower = ["0 mm", "-5 mm", "-3 mm"]
-upper = ["10 mm", "5 mm", "0 mm"]
-spacing = "0.5 mm"
-[program]
-file = "path.csv"
-[robot]
-{robot}
-[simulation]
-{simulation}
-"""
-FLAT = 'kind = "flat"\ndiameter = "6 mm"\nteeth = 2'
-UNEVEN = FLAT + '\nrunout = "20 um"\npitch = ["170 deg", "190 deg"]'
-BALL = 'kind = "ball"\ndiameter = "6 mm"\nteeth = 2'
-BOTTOM = """[force.bottom]
-K_tc = "3000 N/mm^2"
-K_rc = "2000 N/mm^2"
-K_ac = "100 N/mm^2"
-"""
+JOB = {
+    "force.K_te": "3.0 N/mm",
+    "force.K_re": "15.4 N/mm",
+    "stock.lower": ["0 mm", "-5 mm", "-3 mm"],
+    "stock.upper": ["10 mm", "5 mm", "0 mm"],
+    "program.file": "path.csv",
+    "cutter.diameter": "6 mm",
+}
+UNEVEN = {"cutter.runout": "20 um", "cutter.pitch": ["170 deg", "190 deg"]}
+BALL = {"cutter.kind": "ball"}
+BOTTOM = {
+    "force.bottom": {"K_tc": "3 GPa", "K_rc": "2 GPa", "K_ac": "100 N/mm^2"},
+    "simulation.bottom_edges": True,
+}
 SLOW = pytest.mark.slow
 STEPS, DEPTH, FEED = 48, 0.8, 0.2
 PERIOD = 60 / 8000 / 2
 
 
-def solved(folder, *, lean=0.0, ramp=0.0, z=-DEPTH, robot="rigid = true", **tables):
+def solved(folder, changes, *, lean=0.0, ramp=0.0, z=-DEPTH):
     """Return a job along +x, its axis leaning about x, and its solution."""
-    texts = {"cutter": FLAT, "force": "", "simulation": ""} | tables
     x = -3.5 + FEED * np.arange(STEPS)
     z = z - ramp * (x - x[0])
     lines = ["time_s,x_mm,y_mm,z_mm,i,j,k"] + [
@@ -53,8 +36,7 @@ def solved(folder, *, lean=0.0, ramp=0.0, z=-DEPTH, robot="rigid = true", **tabl
         for k in range(STEPS)
     ]
     (folder / "path.csv").write_text("\n".join(lines) + "\n")
-    (folder / "job.toml").write_text(JOB.format(robot=robot, **texts))
-    job = dm.load_job(folder / "job.toml")
+    job = dm.load_job(write_job(folder, JOB, changes))
     return job, dm.simulate(job)
 
 
@@ -65,19 +47,16 @@ def tooth_means(record):
 
 
 @pytest.mark.parametrize(
-    "options",
+    ("changes", "options"),
     [
-        pytest.param({"cutter": BALL, "lean": 0.4}, marks=SLOW),
-        pytest.param(
-            {"ramp": 0.1, "force": BOTTOM, "simulation": "bottom_edges = true"},
-            marks=SLOW,
-        ),
-        {"cutter": UNEVEN},
+        pytest.param(BALL, {"lean": 0.4}, marks=SLOW),
+        pytest.param(BOTTOM, {"ramp": 0.1}, marks=SLOW),
+        (UNEVEN, {}),
     ],
     ids=["leaning", "bottom", "runout"],
 )
-def test_replayed_forces_are_those_of_the_run(tmp_path, options):
-    job, solution = solved(tmp_path, **options)
+def test_replayed_forces_are_those_of_the_run(tmp_path, changes, options):
+    job, solution = solved(tmp_path, changes, **options)
     record = figure_inputs(job, {"predicted": solution})["forces"]
     force = np.asarray(solution.force)[1:]
     assert np.abs(force).max() > 10.0
@@ -85,7 +64,7 @@ def test_replayed_forces_are_those_of_the_run(tmp_path, options):
 
 
 def test_the_surface_that_is_mapped_is_that_of_the_chosen_case(tmp_path):
-    job, solution = solved(tmp_path, cutter=UNEVEN)
+    job, solution = solved(tmp_path, UNEVEN)
     cases = {name: solution for name in ("uncorrected", "mirror", "corrected")}
     mapped = figure_inputs(job, cases, chosen="mirror")["surfaces"]
     assert tuple(mapped) == ("uncorrected", "mirror")
@@ -94,7 +73,7 @@ def test_the_surface_that_is_mapped_is_that_of_the_chosen_case(tmp_path):
 
 
 def test_a_program_that_cuts_nothing_has_no_surface(tmp_path):
-    job, solution = solved(tmp_path, cutter=UNEVEN, z=1.0)
+    job, solution = solved(tmp_path, UNEVEN, z=1.0)
     inputs = figure_inputs(job, {"predicted": solution})
     assert inputs["surfaces"] == {}
     figures = write_figures(tmp_path, solution.to_dataset(), **inputs)
