@@ -28,12 +28,11 @@ values = ["none.ngc", "neither.ngc"]
 
 
 @pytest.fixture
-def folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def folder(here):
     text = small_job('diameter = "10 mm"\nteeth = 2')
-    (tmp_path / "job.toml").write_text(text)
-    (tmp_path / "part.ngc").write_text(CUTS)
-    return tmp_path
+    (here / "job.toml").write_text(text)
+    (here / "part.ngc").write_text(CUTS)
+    return here
 
 
 def plan(text, folder):

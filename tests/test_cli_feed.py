@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import xarray
-from slides_job import write_slides_job
+from slides_job import JOB, with_machine, write_slides_job
 
 from diffmill import SimulationFailed, correction, io
 from diffmill.cli import main
@@ -12,11 +12,9 @@ from diffmill.toolpath import PathFeed, retime
 
 
 @pytest.fixture
-def folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path.parent / "cache"))
-    write_slides_job(tmp_path)
-    return tmp_path
+def folder(here):
+    write_slides_job(here)
+    return here
 
 
 @pytest.fixture
@@ -163,9 +161,7 @@ def test_the_slowest_override_along_the_path_has_a_limit_too(
 def test_a_rigid_machine_and_an_idle_program_are_refused(
     folder, asked, capsys, monkeypatch
 ):
-    text = (folder / "job.toml").read_text()
-    i, j = text.index("[robot]"), text.index("[simulation]")
-    (folder / "rigid.toml").write_text(text[:i] + "[robot]\nrigid = true\n" + text[j:])
+    (folder / "rigid.toml").write_text(with_machine(JOB, "[robot]\nrigid = true\n"))
     assert main(["feed", "rigid.toml"]) == 2
     assert "but feed needs a machine that is soft" in capsys.readouterr().err
 
@@ -195,15 +191,13 @@ def test_settings_that_correct_refuses_are_one_message(folder, capsys, line, wor
 
 
 def test_the_feed_of_a_machine_of_modes_is_studied(folder, asked):
-    text = (folder / "job.toml").read_text()
-    i, j = text.index("[robot]"), text.index("[simulation]")
     mode = """[[machine.modes]]
 frequency = "20 Hz"
 damping_ratio = 0.1
 direction = [1, 1, 1]
 mass = "80 kg"
 """
-    (folder / "modal.toml").write_text(text[:i] + mode + text[j:])
+    (folder / "modal.toml").write_text(with_machine(JOB, mode))
     assert main(["feed", "modal.toml", "--overrides", "1"]) == 0
     assert asked["overrides"] == (1.0,)
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import scipy.io
 import xarray
-from slides_job import JOB, write_slides_job
+from slides_job import JOB, with_machine, write_slides_job
 from slot_force import SPEED, K, mean_lines, slot_force
 from vibrations import receptance, ring_down
 
@@ -23,6 +23,7 @@ from diffmill import (
 from diffmill.cli import main
 from diffmill.cutting import KienzleLaw, LinearEdgeLaw
 from diffmill.units import ANGLE, FREQUENCY, LENGTH, LINEAR_STIFFNESS, quantity
+from small_job import arm_text, body, slide
 
 MEANS = """kind = "mean_forces"
 [cutter]
@@ -34,36 +35,19 @@ axial_depth = "3 mm"
 file = "means.csv"
 """
 # Two slides: about each everything is known.
-SLIDES = """name = "slides"
-[[elements]]
-kind = "prismatic"
-name = "x"
-axis = [1, 0, 0]
-lower = "-1 m"
-upper = "1 m"
-stiffness = "4 N/um"
-damping = "400 N*s/m"
-[[elements]]
-kind = "prismatic"
-name = "y"
-axis = [0, 1, 0]
-lower = "-1 m"
-upper = "1 m"
-stiffness = "9 N/um"
-damping = "900 N*s/m"
-[[elements]]
-kind = "body"
-mass = "100 kg"
-inertia = ["1 kg*m^2", "1 kg*m^2", "1 kg*m^2"]
-"""
+RANGE = {"lower": "-1 m", "upper": "1 m"}
+SLIDES = arm_text(
+    slide("x", 0, **RANGE, stiffness="4 N/um", damping="400 N*s/m"),
+    slide("y", 1, **RANGE, stiffness="9 N/um", damping="900 N*s/m"),
+    body("100 kg"),
+    name="slides",
+)
 
 
 @pytest.fixture
-def folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path.parent / "cache"))
-    (tmp_path / "slides.toml").write_text(SLIDES)
-    return tmp_path
+def folder(here):
+    (here / "slides.toml").write_text(SLIDES)
+    return here
 
 
 @pytest.fixture
@@ -95,6 +79,22 @@ def save(file, head, *columns):
     """Write columns, or rows of several, below the names in a head."""
     cells = np.column_stack(columns)
     np.savetxt(file, cells, delimiter=",", header=head, comments="")
+
+
+def noisy(force, draw=None):
+    """Return a force with noise of a twentieth of its root mean square."""
+    draw = np.random.default_rng(0) if draw is None else draw
+    size = 0.05 * np.sqrt(np.mean(force**2))
+    return force + size * draw.normal(size=force.shape)
+
+
+def slots(folder, time, feeds, change=lambda force, i: force):
+    """Write records of slots at some feeds, each changed; return their entries."""
+    made = (change(slot_force(time, feed), i) for i, feed in enumerate(feeds))
+    return "".join(
+        record(folder, f"slot{i}.txt", time, force, feed)
+        for i, (force, feed) in enumerate(zip(made, feeds, strict=True))
+    )
 
 
 def record(folder, name, time, force, feed, head="time_s,Fx_N,Fy_N,Fz_N"):
@@ -402,9 +402,8 @@ def test_a_hammer_test_gives_the_machine_of_a_job(folder, run):
         )
     run("hammer.toml", text)
     file = write_slides_job(folder)
-    robot, rest = JOB.index("[robot]"), JOB.index("[simulation]")
     named = '[machine]\nfile = "hammer-identify/identified.toml"\n'
-    file.write_text(JOB[:robot] + named + JOB[rest:])
+    file.write_text(with_machine(JOB, named))
     modes = load_job(file).modes
     assert modes is not None
     found = np.asarray(modes.receptance(lines))
@@ -547,10 +546,7 @@ def write_records(folder):
     draw, text = np.random.default_rng(0), SLOTS
     for i, suffix in enumerate(("tdms", "mat", "nc", "txt")):
         time, feed = np.arange(0, 0.09, 1e-4), (0.08e-3, 0.16e-3)[i % 2]
-        force = slot_force(time + 3e-4 * i, feed)
-        force = force + 0.05 * np.sqrt(np.mean(force**2)) * draw.normal(
-            size=force.shape
-        )
+        force = noisy(slot_force(time + 3e-4 * i, feed), draw)
         # The dynamometer's own vibration, far above the teeth.
         force += 60 * np.sin(2 * np.pi * 3100 * time)[:, None]
         columns = dict(zip(("Fx", "Fy", "Fz"), force.T, strict=True))
@@ -757,9 +753,7 @@ def test_a_record_of_a_straight_cut_gives_its_coefficients(folder, run):
     # A right-hand helix pulls toward the work.
     pulled = K * [1, 1, -1, 1, 1, -1]
     clean = (found.columns @ pulled).T
-    force = np.stack([np.interp(time, grid, f) for f in clean], axis=1)
-    draw = np.random.default_rng(0)
-    force += 0.05 * np.sqrt(np.mean(force**2)) * draw.normal(size=force.shape)
+    force = noisy(np.stack([np.interp(time, grid, f) for f in clean], axis=1))
     text = SLOTS + record(folder, "slot.csv", time, force[:, [1, 0, 2]], 0.1e-3)
     text = run("slot.toml", text + '[fit]\naxes = "proposed"\n')
     assert 'axes: ["y", "x", "z"] (the likeliest, as asked for)' in text
@@ -776,11 +770,9 @@ def test_a_record_of_a_straight_cut_gives_its_coefficients(folder, run):
 
 @pytest.mark.slow
 def test_a_record_in_other_axes_than_the_rest_is_named(folder, run):
-    time, text = np.arange(0, 0.25, 1e-4), SLOTS
-    for i, (feed, side) in enumerate(((0.08e-3, 1), (0.1e-3, 1), (0.12e-3, -1))):
-        force = slot_force(time, feed) * [1, side, 1]
-        text += record(folder, f"slot{i}.txt", time, force, feed)
-    said = flat(run("slot.toml", text))
+    time, feeds = np.arange(0, 0.25, 1e-4), (0.08e-3, 0.1e-3, 0.12e-3)
+    turned = lambda force, i: force * [1, -1 if i == 2 else 1, 1]
+    said = flat(run("slot.toml", SLOTS + slots(folder, time, feeds, turned)))
     assert said.count("does not agree with the others") == 1
     _, _, place = said.partition("slot2.txt does not agree with the others")
     assert place.startswith(': alone it suits the axes ["x", "-y", "-z"]')
@@ -789,8 +781,7 @@ def test_a_record_in_other_axes_than_the_rest_is_named(folder, run):
 @pytest.mark.slow
 def test_means_of_a_cutter_with_other_teeth_are_comments(folder, run):
     time, job = np.arange(0, 0.1, 2e-4), SLOTS.replace("force_records", "mean_forces")
-    for i, feed in enumerate((0.05e-3, 0.1e-3, 0.15e-3)):
-        job += record(folder, f"slot{i}.txt", time, slot_force(time, feed), feed)
+    job += slots(folder, time, (0.05e-3, 0.1e-3, 0.15e-3))
     said = run("slot.toml", job.replace("teeth = 2", "teeth = 4"))
     for i in range(3):
         assert f"warning: slot{i}.txt: The forces repeat 2 times a turn" in said
@@ -804,10 +795,8 @@ def test_means_of_a_cutter_with_other_teeth_are_comments(folder, run):
 @pytest.mark.slow
 def test_means_of_saturated_records_are_comments(folder, run):
     time, job = np.arange(0, 0.1, 2e-4), SLOTS.replace("force_records", "mean_forces")
-    for i, feed in enumerate((0.05e-3, 0.1e-3, 0.15e-3)):
-        force = slot_force(time, feed)
-        force = np.minimum(force, 0.7 * force.max())
-        job += record(folder, f"slot{i}.txt", time, force, feed)
+    clipped = lambda force, _: np.minimum(force, 0.7 * force.max())
+    job += slots(folder, time, (0.05e-3, 0.1e-3, 0.15e-3), clipped)
     run("slot.toml", job)
     out, _, toml = results(folder, "slot")
     assert toml == {}
@@ -817,9 +806,7 @@ def test_means_of_saturated_records_are_comments(folder, run):
 @pytest.mark.slow
 def test_two_forces_give_what_they_show(folder, run):
     time = np.arange(0, 0.25, 1e-4)
-    force = slot_force(time, 0.1e-3)
-    draw = np.random.default_rng(0)
-    force += 0.05 * np.sqrt(np.mean(force**2)) * draw.normal(size=force.shape)
+    force = noisy(slot_force(time, 0.1e-3))
     text = SLOTS + record(folder, "slot.txt", time, force * [1, 1, 0], 0.1e-3)
     said = run("slot.toml", text + 'channels = { Fz = "none" }\n')
     assert "does not vary" not in said and "make more sense" not in said

@@ -8,43 +8,23 @@ from slides_job import write_slides_job
 
 from diffmill import load_job
 from diffmill.cli import main
+from small_job import arm_text, body, slide
 
 # Three slides and a mass: everything about it is known. Short ones: a small map.
-SLIDES = """name = "slides"
-[[elements]]
-kind = "prismatic"
-name = "x"
-axis = [1, 0, 0]
-lower = "-1 m"
-upper = "1 m"
-stiffness = "4 N/um"
-damping = "400 N*s/m"
-[[elements]]
-kind = "prismatic"
-name = "y"
-axis = [0, 1, 0]
-lower = "-250 mm"
-upper = "250 mm"
-[[elements]]
-kind = "prismatic"
-name = "z"
-axis = [0, 0, 1]
-lower = "-100 mm"
-upper = "100 mm"
-stiffness = "16 N/um"
-[[elements]]
-kind = "body"
-mass = "100 kg"
-inertia = ["1 kg*m^2", "1 kg*m^2", "1 kg*m^2"]
-"""
+X = {"lower": "-1 m", "upper": "1 m", "stiffness": "4 N/um", "damping": "400 N*s/m"}
+SLIDES = arm_text(
+    slide("x", 0, **X),
+    slide("y", 1, lower="-250 mm", upper="250 mm"),
+    slide("z", 2, lower="-100 mm", upper="100 mm", stiffness="16 N/um"),
+    body("100 kg"),
+    name="slides",
+)
 
 
 @pytest.fixture
-def folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path.parent / "cache"))
-    (tmp_path / "slides.toml").write_text(SLIDES)
-    return tmp_path
+def folder(here):
+    (here / "slides.toml").write_text(SLIDES)
+    return here
 
 
 @pytest.mark.slow

@@ -11,6 +11,7 @@ import jax
 import numpy as np
 import pytest
 import xarray
+from helpers import names
 from slides_job import write_slides_job
 
 import diffmill as dm
@@ -18,15 +19,8 @@ from diffmill import config, correction, io
 from diffmill.cli import main
 
 FOUND = {"method/mirror/command": np.zeros(3)}
+pytestmark = pytest.mark.usefixtures("obeyed_interrupts")
 needs_locks = pytest.mark.skipif(os.name == "nt", reason="no file locks")
-
-
-@pytest.fixture(autouse=True)
-def obeyed_interrupts():
-    """Let SIGINT interrupt: what a shell starts in the background ignores it."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    yield
-    signal.signal(signal.SIGINT, before)
 
 
 @pytest.fixture
@@ -36,10 +30,6 @@ def job(tmp_path, monkeypatch):
     place.mkdir()
     monkeypatch.chdir(place)
     return write_slides_job(place)
-
-
-def names(folder):
-    return sorted(path.name for path in folder.iterdir())
 
 
 def write(out, fill, **options):

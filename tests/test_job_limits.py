@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from helpers import cut_rms
 from slides_job import write_slides_job
 
 import diffmill as dm
@@ -65,18 +66,13 @@ def errors(job, solution):
     return np.asarray(surface.errors(made))
 
 
-def rms(solution):
-    error = np.asarray(solution.contour_error)[np.asarray(solution.is_cutting)]
-    return float(np.sqrt(np.mean(error**2)))
-
-
 def test_the_gouge_limit_is_kept_and_costs_little(free):
     job, result = free.correct("max_steps = 3", UNBOUND, f'gouge = "{1e6 * GOUGE} um"')
     after = again(job, result)
     assert -errors(job, result.before).min() > 3 * GOUGE
     assert -errors(job, after).min() <= GOUGE + 1e-10
-    assert rms(after) < 0.2 * rms(result.before)
-    assert rms(after) < 2 * result.methods["inverse_drive"].measures.rms
+    assert cut_rms(after) < 0.2 * cut_rms(result.before)
+    assert cut_rms(after) < 2 * result.methods["inverse_drive"].measures.rms
     # The dexels tell the same, which know nothing of the bounds. Where wall and floor
     # meet, a point may be off by both. The mesh of the ideal is exact for planes only.
     machined = SurfaceError.of_stock(after.stock, after.rigid.stock)
@@ -107,4 +103,4 @@ def test_a_command_accelerates_so_many_times_as_much_as_the_program(free):
     own = largest(job.path.positions)
     assert largest(free.result.commanded) > 1.6 * own
     assert largest(result.commanded) <= 1.5 * own * (1 + 1e-5)
-    assert rms(result.after) < rms(result.before)
+    assert cut_rms(result.after) < cut_rms(result.before)

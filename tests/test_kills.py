@@ -12,10 +12,14 @@ import time
 import numpy as np
 import pytest
 import xarray
+from helpers import names, python
 
 from diffmill import examples, io
 
-pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals of another kind")
+pytestmark = [
+    pytest.mark.skipif(os.name == "nt", reason="signals of another kind"),
+    pytest.mark.usefixtures("obeyed_interrupts"),
+]
 SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
 # Moments of each example, one in each of as many equal parts of a run.
 MOMENTS, SEED = 25, 20261129
@@ -28,18 +32,6 @@ SHORT = {
 COSTS = ("wall_time_s", "forward_runs", "linearisations")
 # Python itself, while it starts, dies of a signal as any other program does [s].
 STARTING = 3.0
-
-
-@pytest.fixture(autouse=True)
-def obeyed_interrupts():
-    """Let SIGINT interrupt: what a shell starts in the background ignores it."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    yield
-    signal.signal(signal.SIGINT, before)
-
-
-def names(folder):
-    return sorted(path.name for path in folder.iterdir())
 
 
 def left_parts(folder):
@@ -268,6 +260,5 @@ def test_a_command_that_is_still_imported_ends_as_any_other(number):
         "sys.meta_path.insert(0, Importing())\n"
         "runpy.run_module('diffmill', run_name='__main__')\n"
     )
-    line = [sys.executable, "-c", code]
-    done = subprocess.run(line, capture_output=True, text=True)
+    done = python(code)
     assert (done.returncode, done.stderr) == (1, "error: interrupted\n")

@@ -13,6 +13,7 @@ import time
 import numpy as np
 import pytest
 import xarray
+from helpers import cut_rms
 from slides_job import write_slides_job
 
 from diffmill import correction, io
@@ -62,9 +63,7 @@ def finish(process):
 
 def rms_of(folder, name):
     with xarray.open_dataset(folder / "result.nc", engine="h5netcdf") as found:
-        case = found.sel(case=name)
-        error = case.contour_error.values[case.is_cutting.values.astype(bool)]
-        return float(np.sqrt(np.mean(error**2)))
+        return cut_rms(found.sel(case=name))
 
 
 def kill_when(folder, out, found, *more):

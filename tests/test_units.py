@@ -1,8 +1,7 @@
 import math
-import subprocess
-import sys
 
 import pytest
+from helpers import python
 
 from diffmill import units as q
 
@@ -147,4 +146,4 @@ def test_usual_units_do_not_start_the_registry():
         f"for text, si in {texts!r}:\n    units.quantity(text, kinds[si])\n"
         "assert 'pint' not in sys.modules"
     )
-    subprocess.run([sys.executable, "-c", code], check=True)
+    python(code, check=True)

@@ -1,8 +1,8 @@
 """A corrected program is read back from its file and run."""
 
-import numpy as np
 import pytest
 import xarray
+from helpers import cut_rms
 from slides_job import write_slides_job
 
 import diffmill as dm
@@ -27,8 +27,7 @@ def test_the_error_of_the_written_program_is_stated(tmp_path, monkeypatch, capsy
     said = capsys.readouterr().err
     with xarray.open_dataset(tmp_path / "out" / "result.nc", engine="h5netcdf") as kept:
         found, case = kept.attrs, kept.sel(case="inverse_drive").load()
-    is_cutting = case.is_cutting.values.astype(bool)
-    own = np.sqrt(np.mean(case.contour_error.values[is_cutting] ** 2))
+    own = cut_rms(case)
 
     # The blocks are known without their text, and the motion at every tooth instant.
     job = dm.load_job(file)
@@ -46,8 +45,7 @@ def test_the_error_of_the_written_program_is_stated(tmp_path, monkeypatch, capsy
         commanded=read.positions[: job.path.step_count],
         adjoint=dm.process.ThroughPoses(),
     )
-    error = np.asarray(run.contour_error)[np.asarray(run.is_cutting)]
-    expected = np.sqrt(np.mean(error**2))
+    expected = cut_rms(run)
     assert expected > 1.2 * own
     # Text holds a nanometre.
     assert found["written_rms_ngc"] == pytest.approx(expected, abs=10e-9)
@@ -67,12 +65,10 @@ def test_the_program_with_its_own_blocks_is_read_back_and_run(tmp_path, monkeypa
     with xarray.open_dataset(tmp_path / "out" / "result.nc", engine="h5netcdf") as kept:
         left = kept.attrs["moved_rms_ngc"]
         cases = kept.load()
-    rms = {}
-    for name in ("uncorrected", "inverse_drive"):
-        case = cases.sel(case=name)
-        error = case.contour_error.values[case.is_cutting.values.astype(bool)]
-        rms[name] = np.sqrt(np.mean(error**2))
-    assert rms["inverse_drive"] < left < rms["uncorrected"]
+    inverted, before = (
+        cut_rms(cases.sel(case=name)) for name in ("inverse_drive", "uncorrected")
+    )
+    assert inverted < left < before
     read = lambda name: io.parse_gcode((tmp_path / name).read_text())
     moved, program = read("out/moved.ngc"), read("part.ngc")
     feeds = [move.feed for move in moved.moves]
