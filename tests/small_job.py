@@ -72,7 +72,9 @@ def _value(value: Any) -> str:
 
 def arm_text(*elements: Mapping[str, Any], name: str = "arm") -> str:
     """Text of a robot file of some elements."""
-    return toml({"name": name}) + "".join(f"[[elements]]\n{toml(x)}" for x in elements)
+    rows = [[f"{key} = {_value(one)}" for key, one in x.items()] for x in elements]
+    parts = ["\n".join(["[[elements]]", *row]) for row in rows]
+    return "\n".join([f'name = "{name}"', *parts]) + "\n"
 
 
 def slide(name: str, axis: int, **keys: Any) -> dict[str, Any]:

@@ -11,6 +11,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from diffmill import robot as rb, sim
+from small_job import arm_text, body, slide as slide_of
 
 M, K, D = 50.0, 8e5, 400.0
 STEP = 3.75e-3 / 8
@@ -305,39 +306,32 @@ def test_what_is_refused():
             make()
 
 
-ARM = """
-name = "two"
-[[elements]]
-kind = "revolute"
-name = "turn"
-stiffness = "2e5 N*m/rad"
-drive = { backlash = "0.1 mrad", motor_inertia = "9 kg*m^2", servo_stiffness = "1e6 N*m/rad" }
-[[elements]]
-kind = "body"
-mass = "20 kg"
-inertia = ["1 kg*m^2", "1 kg*m^2", "1 kg*m^2"]
-[[elements]]
-kind = "prismatic"
-name = "slide"
-stiffness = "3e5 N/m"
-[elements.drive]
-coulomb_friction = "20 N"
-friction_speed = "2 mm/s"
-presliding = "3 um"
-motor_inertia = "30 kg"
-servo_stiffness = "2e6 N/m"
-servo_damping = "500 N*s/m"
-[[elements]]
-kind = "body"
-mass = "20 kg"
-inertia = ["1 kg*m^2", "1 kg*m^2", "1 kg*m^2"]
-"""  # noqa: E501
+TURN = {
+    "backlash": "0.1 mrad",
+    "motor_inertia": "9 kg*m^2",
+    "servo_stiffness": "1e6 N*m/rad",
+}
+MOTOR = {"motor_inertia": "30 kg", "servo_stiffness": "2e6 N/m"}
+SLIDE = {
+    "coulomb_friction": "20 N",
+    "friction_speed": "2 mm/s",
+    "presliding": "3 um",
+}
+DAMPED = {"servo_damping": "500 N*s/m"}
+
+
+def write_arm(file, turn=TURN, sliding=SLIDE | MOTOR | DAMPED):
+    """Write a turning joint and a slide with drives; return the file."""
+    joint = {"kind": "revolute", "name": "turn", "stiffness": "2e5 N*m/rad"}
+    end = slide_of("slide", 0, stiffness="3e5 N/m", drive=sliding)
+    arm = arm_text(joint | {"drive": turn}, body("20 kg"), end, body("20 kg"))
+    file.write_text(arm)
+    return file
 
 
 def test_options_in_a_robot_file(tmp_path):
     file = tmp_path / "two.toml"
-    file.write_text(ARM)
-    robot = rb.load(file)
+    robot = rb.load(write_arm(file))
     assert robot.backlash and robot.friction and robot.motors
     assert_allclose(robot.backlash.gap, [1e-4, 0.0])
     assert_allclose(robot.friction.coulomb, [0.0, 20.0])
@@ -346,21 +340,19 @@ def test_options_in_a_robot_file(tmp_path):
     assert_allclose(robot.motors.inertia, [9.0, 30.0])
     assert_allclose(robot.motors.stiffness, [1e6, 2e6])
     assert_allclose(robot.motors.damping, [0.0, 500.0])
-    for old, new, text in (
-        ("0.1 mrad", "0.1 mm", r"drive\.backlash: found '0\.1 mm', but an angle"),
-        ('backlash = "0.1 mrad"', 'gap = "1 mrad"', r"drive\.gap: is not a known key"),
-        ('servo_stiffness = "2e6 N/m"', "", "beside servo_stiffness"),
-        ("[elements.drive]", "drive = 1\n[elements.source]", "a table of backlash"),
+    inertia = {"motor_inertia": "30 kg"}
+    for faulty, text in (
+        (
+            {"turn": TURN | {"backlash": "0.1 mm"}},
+            r"found '0\.1 mm', but an angle",
+        ),
+        ({"turn": {"gap": "1 mrad"}}, r"drive\.gap: is not a known key"),
+        ({"sliding": SLIDE | inertia | DAMPED}, "beside servo_stiffness"),
+        ({"sliding": 1}, "a table of backlash"),
+        ({"sliding": SLIDE | DAMPED}, "all motors or none"),
     ):
-        assert old in ARM
-        file.write_text(ARM.replace(old, new))
         with pytest.raises(ValueError, match=text):
-            rb.load(file)
-    file.write_text(
-        ARM.replace('motor_inertia = "30 kg"\nservo_stiffness = "2e6 N/m"', "")
-    )
-    with pytest.raises(ValueError):
-        rb.load(file)
+            rb.load(write_arm(file, **faulty))
 
 
 def test_a_bending_tool_has_a_plain_drive():

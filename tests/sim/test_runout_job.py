@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import diffmill as dm
-from small_job import small_job
+from small_job import write_job
 
 # A wall at y = 4 mm, 0.1 mm per tooth; of two teeth only one reaches it.
 PROGRAM = "G21 G17 G90 G94\nG0 X-6 Y-1 Z1\nG0 Z-1\nG1 X10 F1600\nG0 Z1\nM2\n"
@@ -12,10 +12,7 @@ RUNOUT, RADIUS, FEED = 12e-6, 5e-3, 0.2e-3
 
 
 def test_the_part_is_cut_into_by_the_run_out(tmp_path):
-    (tmp_path / "part.ngc").write_text(PROGRAM)
-    file = tmp_path / "job.toml"
-    file.write_text(small_job('diameter = "10 mm"\nteeth = 2\nrunout = "12 um"'))
-    job = dm.load_job(file)
+    job = dm.load_job(write_job(tmp_path, {"cutter.runout": "12 um"}, program=PROGRAM))
     assert any("12 um" in note for note in job.notes)
     solution = dm.simulate(job)
     error = dm.workpiece.SurfaceError.of_stock(
@@ -29,19 +26,16 @@ def test_the_part_is_cut_into_by_the_run_out(tmp_path):
 
 
 # Softer and faster than an arm: within a tooth period it swings more than twice.
-MODES = """
-[[machine.modes]]
-frequency = "500 Hz"
-damping_ratio = 0.05
-direction = [1, 0, 0]
-stiffness = "5 N/um"
-[[machine.modes]]
-frequency = "550 Hz"
-damping_ratio = 0.05
-direction = [0, 1, 0]
-stiffness = "5 N/um"
-"""
-CUT = "G21 G17 G90 G94\nG0 X{begin} Y-1 Z1\nG0 Z-1\nG1 X{end} F1600\nG0 Z1\nM2\n"
+MODE = {"damping_ratio": 0.05, "stiffness": "5 N/um"}
+MACHINE = {
+    "robot": None,
+    "machine.modes": [
+        MODE | {"frequency": "500 Hz", "direction": [1, 0, 0]},
+        MODE | {"frequency": "550 Hz", "direction": [0, 1, 0]},
+    ],
+    "simulation.stability": False,
+}
+CUT = "G21 G17 G90 G94\nG0 X{} Y-1 Z1\nG0 Z-1\nG1 X{} F1600\nG0 Z1\nM2\n"
 
 
 @pytest.mark.slow
@@ -49,12 +43,9 @@ CUT = "G21 G17 G90 G94\nG0 X{begin} Y-1 Z1\nG0 Z-1\nG1 X{end} F1600\nG0 Z1\nM2\n
 def test_a_fast_machine_adds_the_run_out_to_its_own_deflection(tmp_path, begin, end):
     walls, tips = [], []
     for runout in (0, 10):
-        cutter = f'diameter = "10 mm"\nteeth = 2\nrunout = "{runout} um"'
-        text = small_job(cutter, more=MODES + "[simulation]\nstability = false\n")
-        text = text.replace("[robot]\nrigid = true\n", "")
-        (tmp_path / "part.ngc").write_text(CUT.format(begin=begin, end=end))
-        (tmp_path / "job.toml").write_text(text)
-        solution = dm.simulate(dm.load_job(tmp_path / "job.toml"))
+        changes, program = {"cutter.runout": f"{runout} um"}, CUT.format(begin, end)
+        file = write_job(tmp_path, MACHINE, changes, program=program)
+        solution = dm.simulate(dm.load_job(file))
         points = np.asarray(solution.stock.ray_ends(1).points)
         is_inside = (points[:, 0] > 2e-3) & (points[:, 0] < 6e-3)
         is_wall = is_inside & (abs(points[:, 1] - 4e-3) < 0.3e-3)

@@ -8,18 +8,15 @@ import numpy as np
 import pytest
 
 import diffmill as dm
-from small_job import small_job
+from small_job import write_job
 
-CUTTER = 'kind = "flat"\ndiameter = "10 mm"\nteeth = 2'
 PROGRAM = "G21 G17 G90 G94\nG0 X-6 Y4 Z-1\nG1 X-4 F6000\nM2\n"
 
 
 @pytest.fixture(scope="module")
 def job(tmp_path_factory):
     folder = tmp_path_factory.mktemp("text")
-    (folder / "part.ngc").write_text(PROGRAM)
-    (folder / "job.toml").write_text(small_job(CUTTER))
-    return dm.load_job(folder / "job.toml")
+    return dm.load_job(write_job(folder, program=PROGRAM))
 
 
 @pytest.fixture(scope="module")

@@ -55,6 +55,13 @@ def modes(axes):
     return rb.TipModes(np.full(count, FREQUENCY), np.full(count, RATIO), shapes)
 
 
+def reference(rpm, axes, arc, **more):
+    """Return the same cut for another method."""
+    return semidiscretisation.Cut(
+        rpm / 60, 2, K_T, K_R, MASS, FREQUENCY, RATIO, axes, *arc, **more
+    )
+
+
 def straight_cut(rpm, arc, *, pitch=(180, 180), runout=0.0):
     """Return the process of a straight cut along x at its default sizes."""
     period = 60 / (2 * rpm)
@@ -136,18 +143,7 @@ UNEVEN = [
     [UNEVEN[0], *(pytest.param(*c, marks=pytest.mark.slow) for c in UNEVEN[1:])],
 )
 def test_uneven_teeth_calm_as_another_method_says(rpm, pitch, axes, arc, depth):
-    cut = semidiscretisation.Cut(
-        rpm / 60,
-        2,
-        K_T,
-        K_R,
-        MASS,
-        FREQUENCY,
-        RATIO,
-        axes,
-        *arc,
-        pitch=tuple(np.radians(pitch)),
-    )
+    cut = reference(rpm, axes, arc, pitch=tuple(np.radians(pitch)))
     wanted = semidiscretisation.growth(cut, depth, 100)
     even = semidiscretisation.growth(dataclasses.replace(cut, pitch=None), depth, 100)
     assert abs(np.log(wanted / even)) > 0.1
@@ -223,9 +219,7 @@ def test_a_simulated_vibration_grows_by_the_factor_of_the_stability(pitch, is_ca
     [(5000, (0,), UP), (8000, (0, 1), UP), (8000, (0, 1), DOWN), (6000, (0,), DOWN)],
 )
 def test_modes_at_the_tip_have_the_limits_of_another_method(rpm, axes, arc):
-    cut = semidiscretisation.Cut(
-        rpm / 60, 2, K_T, K_R, MASS, FREQUENCY, RATIO, axes, *arc
-    )
+    cut = reference(rpm, axes, arc)
     rough = limit_of(cut, 0.02e-3, first_unstable(cut), 100)
     limit = limit_of(cut, 0.9 * rough, 1.05 * rough, 300)
     below, above = (
@@ -254,9 +248,7 @@ def limit_of(cut, stable, unstable, steps):
 @pytest.mark.slow
 @pytest.mark.parametrize(("rpm", "axes", "arc", "limit"), PUBLISHED[:3])
 def test_growth_is_that_of_another_method(rpm, axes, arc, limit):
-    cut = semidiscretisation.Cut(
-        rpm / 60, 2, K_T, K_R, MASS, FREQUENCY, RATIO, axes, *arc
-    )
+    cut = reference(rpm, axes, arc)
     for share in (0.6, 1.4):
         wanted = semidiscretisation.growth(cut, share * limit)
         found = growth(rpm, spindle(axes), arc, share * limit).radius[0]
