@@ -110,10 +110,3 @@ def test_the_command_line_tells_walls_and_floors_apart(result):
     assert lines[start + 2].split() == [
         *("uncorrected", "1.00", "2.00", "3.00", "-4.00", "5.00", "-", "8.00")
     ]
-
-
-def test_a_mirror_that_makes_it_worse_is_explained(result):
-    assert "note: the mirror" not in summary(result)
-    worse = result.copy(deep=True)
-    worse["contour_error"].loc[{"case": "mirror"}] *= 10
-    assert "note: the mirror is worse" in summary(worse)

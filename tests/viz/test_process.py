@@ -1,3 +1,5 @@
+from typing import Any
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -12,6 +14,17 @@ from diffmill.workpiece import Pose, box
 RADIUS, FEED, DEPTH = 2e-3, 0.05e-3, 0.8e-3
 
 
+def process_of(half, helix=0.0, **sizes):
+    """Return the process of a mill in a block of a half width [m]."""
+    stock = box([-half, -half, -2e-3], [half, half, 0.0], 0.2e-3)
+    cutter = flat_end_mill(diameter=2 * RADIUS, teeth=2, helix_angle=helix)
+    plan = choose_engagement(stock, cutter, axial_depth=DEPTH, **sizes)
+    return Process(stock, cutter, PAPER_LAW, 837.0, plan)
+
+
+FINE = {"angles": 96, "element_height": 0.4e-3}
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("direction", "is_held_back"), [(0.0, False), (2.4, False), (0.0, True)]
@@ -24,13 +37,9 @@ def test_chip_of_a_slot_is_that_of_two_circles(direction, is_held_back):
     along = np.array([np.cos(direction), np.sin(direction), 0.0])
     steps = np.arange(60)[:, None]
     tips = (steps * FEED - 1.5e-3) * along + np.array([0.0, 0.0, -DEPTH])
-    stock = box([-5e-3, -5e-3, -2e-3], [5e-3, 5e-3, 0.0], 0.2e-3)
     helix = np.arctan(2 * np.pi / 96 * RADIUS / 0.4e-3) if is_held_back else 0.0
-    cutter = flat_end_mill(diameter=2 * RADIUS, teeth=2, helix_angle=float(helix))
-    plan = choose_engagement(
-        stock, cutter, axial_depth=DEPTH, angles=96, element_height=0.4e-3
-    )
-    process = Process(stock, cutter, PAPER_LAW, 837.0, plan)
+    process = process_of(5e-3, float(helix), **FINE)
+    plan: Any = process.engagement
     chart = Replay.along(process, Pose(jnp.asarray(tips)), 50).tooth_chip()
     phi = chart.immersion_angle
     assert np.ptp(phi) == pytest.approx(2 * np.pi * (1 - 1 / plan.angles))
@@ -56,29 +65,20 @@ def test_a_chip_is_of_one_pass_of_a_tooth(direction, row):
     """Each tooth cuts more than the one before: two passes would leave a jump."""
     along = np.array([np.cos(direction), np.sin(direction), 0.0])
     way = np.cumsum(FEED * (1 + 0.05 * np.arange(60)))[:, None] - 4e-3
-    stock = box([-6e-3, -6e-3, -2e-3], [6e-3, 6e-3, 0.0], 0.2e-3)
-    cutter = flat_end_mill(diameter=2 * RADIUS, teeth=2, helix_angle=0.0)
-    plan = choose_engagement(
-        stock, cutter, axial_depth=DEPTH, angles=96, element_height=0.4e-3
-    )
-    process = Process(stock, cutter, PAPER_LAW, 837.0, plan)
+    process = process_of(6e-3, **FINE)
     tips = jnp.asarray(way * along + np.array([0.0, 0.0, -DEPTH]))
     chart = Replay.along(process, Pose(tips), row).tooth_chip()
     near = np.abs(chart.immersion_angle - np.pi / 2) < 0.4
     chip = chart.chip_thickness[0, near]
     assert chip.min() > FEED
     # symbols: h = f sin(phi), whose second difference is h times the square of the step
-    step = 2 * np.pi / plan.angles
+    step = 2 * np.pi / FINE["angles"]
     assert np.abs(np.diff(chip, 2)).max() < 2 * step**2 * chip.max()
 
 
 def test_step_outside_the_path_is_refused():
-    stock = box([0.0, 0.0, 0.0], [4e-3, 4e-3, 2e-3], 0.5e-3)
-    cutter = flat_end_mill(diameter=2 * RADIUS, teeth=2, helix_angle=0.0)
-    plan = choose_engagement(stock, cutter, axial_depth=DEPTH)
     with pytest.raises(ValueError, match=r"`chip_row`.* 1 .* 4"):
-        process = Process(stock, cutter, PAPER_LAW, 837.0, plan)
-        Replay.along(process, Pose(jnp.zeros((5, 3))), 5)
+        Replay.along(process_of(4e-3), Pose(jnp.zeros((5, 3))), 5)
 
 
 def test_force_record_puts_samples_in_the_middle_of_their_parts():

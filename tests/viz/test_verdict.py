@@ -220,6 +220,7 @@ def test_a_mirror_that_diverges_is_marked(tmp_path, correction):
         marked = [line.split()[0] for line in lines if line.endswith("  diverges")]
         assert marked == (["mirror"] if diverges else [])
         assert ("diverges (0." in report(tmp_path, dataset)) == diverges
+        assert ("note: the mirror is worse" in summary(dataset)) == diverges
 
 
 def test_a_verdict_says_what_the_contour_error_does_not_count(tmp_path, correction):
