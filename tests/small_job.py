@@ -28,11 +28,7 @@ ARM = {
 TABLES = {
     "cutter": {"kind": "flat", "diameter": "10 mm", "teeth": 2},
     "spindle": {"speed": "8000 rpm"},
-    "force": {
-        "K_tc": "989.8 N/mm^2",
-        "K_rc": "337.3 N/mm^2",
-        "K_ac": "66.9 N/mm^2",
-    },
+    "force": {"K_tc": "989.8 N/mm^2", "K_rc": "337.3 N/mm^2", "K_ac": "66.9 N/mm^2"},
     "stock": {
         "lower": ["0 mm", "0 mm", "-3 mm"],
         "upper": ["8 mm", "8 mm", "0 mm"],

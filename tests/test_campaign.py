@@ -220,10 +220,7 @@ def test_more_draws_leave_the_earlier_ones(folder):
             'draws = 1\ndraw = [{key = "cutter.runout", relative = 0.1}]',
             ("cutter.runout", "no value"),
         ),
-        (
-            'draws = 1\ndraw = [{key = "force.K_tc", mean = 1.0}]',
-            ("mean", "deviation"),
-        ),
+        ('draws = 1\ndraw = [{key = "force.K_tc", mean = 1.0}]', ("mean", "deviation")),
         ('starts = {count = 2, spread = "1 um"}', ("starts", "correct")),
     ],
 )

@@ -55,11 +55,7 @@ def test_feed_writes_numbers_a_figure_and_tuned_paths(folder, asked, capsys):
     said = capsys.readouterr()
     assert "program  corrected" in said.out
     text = said.out + said.err
-    for part in (
-        "0.90 to 0.90\n",
-        "0.80 to 0.80 (steps ran out)",
-        "results: job-feed",
-    ):
+    for part in ("0.90 to 0.90\n", "0.80 to 0.80 (steps ran out)", "results: job-feed"):
         assert part in text
     out = folder / "job-feed"
     assert {p.name for p in out.iterdir()} >= {

@@ -12,14 +12,7 @@ from slides_job import JOB, with_machine, write_slides_job
 from slot_force import SPEED, K, mean_lines, slot_force
 from vibrations import receptance, ring_down
 
-from diffmill import (
-    config,
-    cutter as ct,
-    identification,
-    load_job,
-    robot as rb,
-    viz,
-)
+from diffmill import config, cutter as ct, identification, load_job, robot as rb, viz
 from diffmill.cli import main
 from diffmill.cutting import KienzleLaw, LinearEdgeLaw
 from diffmill.units import ANGLE, FREQUENCY, LENGTH, LINEAR_STIFFNESS, quantity

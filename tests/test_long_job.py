@@ -19,11 +19,7 @@ from slides_job import write_slides_job
 from diffmill import correction, io
 from diffmill.cli import main
 
-SETTINGS = (
-    "max_steps = 10",
-    "overlap = 70",
-    "acceleration_factor = inf",
-)
+SETTINGS = ("max_steps = 10", "overlap = 70", "acceleration_factor = inf")
 # Enough on a machine that does many other things too [s].
 LIMIT = 5400
 

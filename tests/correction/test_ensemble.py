@@ -9,13 +9,7 @@ import numpy as np
 import pytest
 from correction.spring_mass import SpringMass, rounded_square, soft_arm
 
-from diffmill.correction import (
-    DelayedPlant,
-    Ensemble,
-    GaussNewton,
-    Problem,
-    delayed,
-)
+from diffmill.correction import DelayedPlant, Ensemble, GaussNewton, Problem, delayed
 from diffmill.optimise import LevenbergMarquardt
 
 TIME_STEP = 3.75e-3

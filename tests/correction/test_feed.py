@@ -7,11 +7,7 @@ import numpy as np
 import pytest
 import scipy.optimize
 
-from diffmill.correction import (
-    FeedPoint,
-    FeedProblem,
-    Motion,
-)
+from diffmill.correction import FeedPoint, FeedProblem, Motion
 from diffmill.toolpath import Path, PathFeed
 
 PERIOD, STEP, ROWS, KNOTS = 4e-3, 0.2e-3, 200, 4

@@ -202,9 +202,7 @@ def test_segments_through_a_controller_do_what_they_tell(led):
         LedPieces(led.plant), hasty, horizon=200, overlap=100, sweeps=1
     )
     found = method(
-        led,
-        on_progress=lambda *found: told.append(found),
-        on_checkpoint=saved.append,
+        led, on_progress=lambda *found: told.append(found), on_checkpoint=saved.append
     )
     # The last segment is not run by itself.
     rows = int(saved[-2]["row"])

@@ -251,8 +251,7 @@ def test_joint_commands_need_no_tip():
         # The error comes and goes smoothly, as the clamped spline can follow.
         time = jnp.linspace(0.0, 1.0, len(path))[:, None]
         return Motion(
-            command @ mixing + shift * jnp.sin(jnp.pi * time) ** 4,
-            jnp.zeros_like(path),
+            command @ mixing + shift * jnp.sin(jnp.pi * time) ** 4, jnp.zeros_like(path)
         )
 
     problem = Problem(plant, nominal, path, is_cutting.astype(float), TIME_STEP)

@@ -14,11 +14,7 @@ from scipy.spatial.transform import Rotation
 import diffmill as dm
 import machines
 from diffmill import robot as rb, toolpath as tp, units, workpiece as wp
-from diffmill.correction import (
-    InfeasibleLimit,
-    NothingToCorrect,
-    place_workpiece,
-)
+from diffmill.correction import InfeasibleLimit, NothingToCorrect, place_workpiece
 from diffmill.examples import copy_example
 from diffmill.sim import JobKinematics
 

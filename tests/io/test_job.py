@@ -11,11 +11,7 @@ from diffmill.cutting import LinearEdgeLaw
 from small_job import ARM, SLOT, SLOT_STOCK, job_text, problems_of, write_job
 
 CUTTER = {"cutter.helix_angle": "30 deg", "cutter.flute_length": "22 mm"}
-EDGES = {
-    "force.K_te": "3.0 N/mm",
-    "force.K_re": "15.4 N/mm",
-    "force.K_ae": "4.5 N/mm",
-}
+EDGES = {"force.K_te": "3.0 N/mm", "force.K_re": "15.4 N/mm", "force.K_ae": "4.5 N/mm"}
 LIMITS = {
     "program.acceleration": "2 m/s^2",
     "program.rapid_feed": "200 mm/s",

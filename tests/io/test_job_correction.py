@@ -128,10 +128,7 @@ def test_a_section_without_moves_is_refused(problems):
     ("line", "words"),
     [
         ('tolerance = "-1 um"', ("tolerance", "at least 0")),
-        (
-            "weight = [{ lines = [1, 2], value = -1 }]",
-            ("weight.0.value", "at least 0"),
-        ),
+        ("weight = [{ lines = [1, 2], value = -1 }]", ("weight.0.value", "at least 0")),
         ("weight = [{ lines = [1], value = 1 }]", ("weight.0.lines", "2 values")),
         ("weight = [{ value = 1 }]", ("weight.0.lines", "first and last line")),
         ("uncertainty = { force = 1 }", ("uncertainty.force", "less than 1")),

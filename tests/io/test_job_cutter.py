@@ -75,10 +75,7 @@ def test_rounded_angles_between_teeth_are_even(cutter_of):
         ),
         ({"pitch": ["180 deg", "180 deg"]}, ("pitch", "2 angles", "3 are required")),
         ({"pitch": ["100 deg"] * 3}, ("pitch", "300 deg", "360 deg")),
-        (
-            {"pitch": ["-60 deg", "200 deg", "220 deg"]},
-            ("pitch", "-60 deg", "above 0"),
-        ),
+        ({"pitch": ["-60 deg", "200 deg", "220 deg"]}, ("pitch", "-60 deg", "above 0")),
         ({"pitch": "120 deg"}, ("pitch", "'120 deg'", "a list")),
         ({"pitch": ["120 deg", 2, "120 deg"]}, ("pitch", "2", "an angle")),
     ],

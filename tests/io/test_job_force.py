@@ -62,8 +62,7 @@ def test_material(load):
 
 
 @pytest.mark.parametrize(
-    ("angle", "sign", "hand"),
-    [(30, -1, "right"), (-30, 1, "left"), (0, 1, None)],
+    ("angle", "sign", "hand"), [(30, -1, "right"), (-30, 1, "left"), (0, 1, None)]
 )
 def test_the_axial_sign_of_a_material_follows_the_hand_of_the_helix(
     load, angle, sign, hand

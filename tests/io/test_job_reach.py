@@ -11,15 +11,7 @@ import pytest
 from diffmill import load_job, robot as rb
 from diffmill.examples import copy_example
 from diffmill.sim import JobKinematics
-from small_job import (
-    SLOT,
-    SLOT_STOCK,
-    arm_text,
-    body,
-    problems_of,
-    slide,
-    write_job,
-)
+from small_job import SLOT, SLOT_STOCK, arm_text, body, problems_of, slide, write_job
 
 # Three slides along the axes of the base, and a tool that they cannot turn.
 SLIDE = {"stiffness": "1e6 N/m", "lower": "-1 m"}

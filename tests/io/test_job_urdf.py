@@ -142,11 +142,7 @@ WITHOUT_MASS = gantry().replace("<inertial", "<x").replace("/inertial", "/x")
         ({"drives": "../x.toml"}, {}, ("[robot] drives", "outside the job's folder")),
         (SPRINGS | {"tool": None}, {}, ("[robot] file", "last links", "spindle")),
         (SPRINGS | {"file": "gantry.stl"}, {}, ("[robot] file", ".toml, .urdf")),
-        (
-            SPRINGS,
-            {"robot": "<robot/>"},
-            ("[robot] file", "attribute name is missing"),
-        ),
+        (SPRINGS, {"robot": "<robot/>"}, ("[robot] file", "attribute name is missing")),
         (
             SPRINGS,
             {"robot": WITHOUT_MASS},

@@ -485,10 +485,7 @@ def test_a_phase_in_degrees_needs_its_unit(tmp_path, name):
     head = f"Freq [Hz];Mag [m/N];{name}"
     with pytest.raises(JobError, match="the phase has no unit"):
         modes(tmp_path, "frequency_response", "", f"{head}\n{rows}\n")
-    for label, more in (
-        (f"{head} [deg]", ""),
-        (head, 'units = { phase = "deg" }\n'),
-    ):
+    for label, more in ((f"{head} [deg]", ""), (head, 'units = { phase = "deg" }\n')):
         data = f"{label}\n{rows}\n"
         one = modes(tmp_path, "frequency_response", more, data).measured[0]
         np.testing.assert_allclose(one.response, H, rtol=1e-6)

@@ -7,12 +7,7 @@ import numpy as np
 import pytest
 from scipy import interpolate
 
-from diffmill.io import (
-    ProgramError,
-    parse_gcode,
-    read_program,
-    write_program,
-)
+from diffmill.io import ProgramError, parse_gcode, read_program, write_program
 from diffmill.toolpath import Path, Program, reduce_path, sample_program
 
 LIMITS = {"acceleration": 2.0, "rapid_feed": 0.2, "corner_tolerance": 0.0}

@@ -125,12 +125,7 @@ def test_arm_terms_are_those_of_the_single_functions(soft_arm, rng):
         dr.mass_matrix(soft_arm, q),
         dr.inverse_dynamics(soft_arm, q, qd, np.zeros_like(q)),
     ]
-    found = [
-        terms.T_base_tool,
-        terms.jacobian,
-        terms.mass_matrix,
-        terms.bias_forces,
-    ]
+    found = [terms.T_base_tool, terms.jacobian, terms.mass_matrix, terms.bias_forces]
     for have, want in zip(found, expected, strict=True):
         np.testing.assert_allclose(have, want, rtol=1e-12, atol=1e-12)
 

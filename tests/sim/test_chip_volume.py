@@ -117,8 +117,7 @@ def test_a_chip_has_its_area_whichever_angle_its_first_sample_has(turn):
 
 
 @pytest.mark.parametrize(
-    ("feed", "helix_angle"),
-    [(0.2e-3, 0.0), pytest.param(0.1e-3, 0.6, marks=SLOW)],
+    ("feed", "helix_angle"), [(0.2e-3, 0.0), pytest.param(0.1e-3, 0.6, marks=SLOW)]
 )
 def test_entry_corner_and_exit_take_the_metal_that_is_there(feed, helix_angle):
     lower, upper = np.array([0, -7e-3, -1.6e-3]), np.array([14e-3, 8e-3, 0])

@@ -37,11 +37,7 @@ def path():
         "G21 G17 G90 G94 F3000\nG0 X-7.5 Y1.3 Z-1.03\nG1 X5.5\nG1 Y5\nM2\n"
     )
     found = sample_program(
-        program,
-        PERIOD,
-        acceleration=0.5,
-        rapid_feed=0.1,
-        corner_tolerance=0.1e-3,
+        program, PERIOD, acceleration=0.5, rapid_feed=0.1, corner_tolerance=0.1e-3
     )
     return np.asarray(found.positions)
 
@@ -222,11 +218,7 @@ def test_a_long_period_looks_up_the_stock_on_its_way():
     period = 20e-3
     program = parse_gcode("G21 G17 G90 G94 F300\nG0 X-5.9 Y-3.5 Z-1.5\nG1 X-0.5\nM2\n")
     path = sample_program(
-        program,
-        period,
-        acceleration=0.05,
-        rapid_feed=0.1,
-        corner_tolerance=0.1e-3,
+        program, period, acceleration=0.05, rapid_feed=0.1, corner_tolerance=0.1e-3
     )
     tips = jnp.asarray(path.positions)
     stock = wp.box(

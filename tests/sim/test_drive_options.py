@@ -342,10 +342,7 @@ def test_options_in_a_robot_file(tmp_path):
     assert_allclose(robot.motors.damping, [0.0, 500.0])
     inertia = {"motor_inertia": "30 kg"}
     for faulty, text in (
-        (
-            {"turn": TURN | {"backlash": "0.1 mm"}},
-            r"found '0\.1 mm', but an angle",
-        ),
+        ({"turn": TURN | {"backlash": "0.1 mm"}}, r"found '0\.1 mm', but an angle"),
         ({"turn": {"gap": "1 mrad"}}, r"drive\.gap: is not a known key"),
         ({"sliding": SLIDE | inertia | DAMPED}, "beside servo_stiffness"),
         ({"sliding": 1}, "a table of backlash"),

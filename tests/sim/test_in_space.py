@@ -223,11 +223,7 @@ def test_helix_matches_the_reference_at_every_instant(depth, options):
         keeps_instantaneous=True,
     )
     force = marching.force_over_revolution(
-        tool("flat", **options),
-        REFERENCE,
-        halfspaces.slot(depth),
-        FEED * ALONG,
-        UP,
+        tool("flat", **options), REFERENCE, halfspaces.slot(depth), FEED * ALONG, UP
     )
     assert relative(steady(solution), force.mean(axis=0)) < 5e-3
     found = np.asarray(solution.instantaneous_force)[STEADY:]
@@ -257,9 +253,7 @@ def pitch(first):
             marks=pytest.mark.slow,
         ),
         pytest.param(
-            {"pitch": pitch(1.2)},
-            {"tooth_angles": (0.0, 1.2)},
-            marks=pytest.mark.slow,
+            {"pitch": pitch(1.2)}, {"tooth_angles": (0.0, 1.2)}, marks=pytest.mark.slow
         ),
     ],
 )
@@ -314,11 +308,7 @@ def weighted(kind, adjoint):
     """
     axes = np.tile(AXIS, (ROWS, 1))
     plan = pr.choose_engagement(
-        BLOCK_FOR_TILTED,
-        mill(kind),
-        axial_depth=1.5e-3,
-        axes=axes,
-        is_upright=False,
+        BLOCK_FOR_TILTED, mill(kind), axial_depth=1.5e-3, axes=axes, is_upright=False
     )
     weights = np.random.default_rng(1).normal(size=(ROWS, 3))
 

@@ -10,13 +10,7 @@ import numpy as np
 import pytest
 from helpers import relative
 
-from diffmill import (
-    cutter as ct,
-    cutting,
-    process as pr,
-    sim,
-    workpiece as wp,
-)
+from diffmill import cutter as ct, cutting, process as pr, sim, workpiece as wp
 from machines import slides
 
 PERIOD = 2.5e-3
