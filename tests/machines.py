@@ -1,6 +1,7 @@
 """Small machines whose answers are known by hand, and the jobs that they run."""
 
 import math
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -90,7 +91,7 @@ def motors_of(robot, tips, T_base_work):
 
 def job_of(robot, path, stock, correction=None, **simulation):
     """Return a job of a plain cutter of 10 mm, a tooth period from row to row."""
-    usual = {"element_height": 0.5e-3, "axial_depth": 1.5e-3}
+    usual: dict[str, Any] = {"element_height": 0.5e-3, "axial_depth": 1.5e-3}
     return Job(
         name="slot",
         cutter=ct.flat_end_mill(10e-3, 2),

@@ -25,7 +25,7 @@ ROWS = 49
 BREAKS = (0, 16, 32, 48)
 
 
-ROBOT = slides(0.02, [80.0 * (2 * np.pi * 30.0) ** 2] * 3)
+ROBOT = slides(0.02, np.full(3, 80.0 * (2 * np.pi * 30.0) ** 2))
 MACHINES = {
     "elastic": sim.ElasticArm(ROBOT, np.eye(4)),
     "quasi-static": sim.QuasiStaticArm(ROBOT, np.eye(4)),
