@@ -89,3 +89,7 @@ def test_an_axis_that_is_not_seen_stays_at_its_prior(axis):
     mean, deviation = PROCESS.smoothed(at, np.ones(40), at.time)
     np.testing.assert_allclose(mean[:, axis], 0.0, atol=1e-9)
     np.testing.assert_allclose(deviation[:, axis], SIZE[axis], rtol=1e-6)
+    none = PathProcess(PROCESS.length, PROCESS.size.at[axis].set(0.0))
+    means, spread = none.smoothed(at, np.ones(40), at.time)
+    np.testing.assert_allclose(means, np.where(np.arange(3) == axis, 0, mean))
+    np.testing.assert_array_equal(spread[:, axis], 0.0)

@@ -164,8 +164,10 @@ def _smooth(
     def backward(carry, row):
         later, P_later = carry
         mean, P, next_ahead, P_next, A = row
-        # At equal times nothing is added, and the prediction is singular for no axis.
-        gain = jnp.linalg.solve(P_next + _FLOOR * jnp.diag(jnp.diag(P_next)), A @ P).T
+        # An axis without a process has no variance, and takes nothing from later.
+        spread = jnp.diag(P_next)
+        floor = jnp.where(spread > 0, _FLOOR * spread, 1.0)
+        gain = jnp.linalg.solve(P_next + jnp.diag(floor), A @ P).T
         mean = mean + gain @ (later - next_ahead)
         P = P + gain @ (P_later - P_next) @ gain.T
         return (mean, P), (mean, P)

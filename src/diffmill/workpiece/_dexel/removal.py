@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ..._arrays import is_traced
+from ..._types import RealScalarLike
 from ...cutter import AbstractCutter
 from .._pose import Pose
 from .interval import CutInterval
@@ -207,7 +208,7 @@ class RemovalWindow(eqx.Module):
         )
 
 
-def _widest_radius(cutter: AbstractCutter) -> float:
+def _widest_radius(cutter: AbstractCutter) -> RealScalarLike:
     """Radius of the cutter with a run-out whose value is known [m]."""
     is_known = cutter.has_runout and not is_traced(cutter.runout)
     return cutter.nominal_radius + (abs(float(cutter.runout)) if is_known else 0.0)
