@@ -27,8 +27,16 @@ AREAS = (
 TABLES = (
     *("", "cutter", "spindle", "cut", "record", "means", "fit", "force", "stock"),
     *("program", "robot", "load_tests", "ring_down", "frequency_response", "coupled"),
-    *("air_path", "machine", "controller", "simulation", "correction", "output"),
-    *("sweep", "draw", "starts"),
+    *(
+        "air_path",
+        "poses",
+        "prior",
+        "machine",
+        "controller",
+        "simulation",
+        "correction",
+    ),
+    *("output", "sweep", "draw", "starts"),
 )
 
 
