@@ -100,6 +100,14 @@ def arm():
     )
 
 
+@functools.cache
+def known_arm():
+    """The arm as a controller knows it, which probes at four places."""
+    motors = jnp.asarray(Q + 0.1 * np.sin(np.arange(12.0)).reshape(4, 3))
+    tips = jax.vmap(lambda q: dr.forward_kinematics(arm(), q)[:3, 3])(motors)
+    return dr.NominalRobot(arm(), jnp.eye(4), tips, motors)
+
+
 Q = np.array([0.1, 0.3, -0.4])
 POSE = np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
 
@@ -412,6 +420,17 @@ CALLS: dict[str, Callable[[], Call]] = {
     "robot.receptance": of_robot("receptance", along([10.0, 30.0])[0]),
     "robot.motor_positions": of_robot("motor_positions"),
     "robot.loaded_equilibrium": of_robot("loaded_equilibrium", rows(6, size=100.0)),
+    "robot.NominalRobot.touch_off": lambda: Call(
+        lambda robot, K: known_arm().touch_off(robot.with_drives(stiffness=K)),
+        arm(),
+        (jnp.asarray(arm().joint_stiffness),),
+    ),
+    "robot.placed_motors": lambda: Call(
+        lambda _, rows: dr.placed_motors((0, -1, 1), rows), None, (rows(4, 2),)
+    ),
+    "robot.rotation_matrix": lambda: Call(
+        lambda _, vector: dr.rotation_matrix(vector), None, (rows(3),)
+    ),
     "robot.singularity": of_robot("singularity", has_slopes=False),
     "robot.inverse_kinematics": lambda: Call(
         lambda robot, q: (
@@ -969,6 +988,7 @@ LEFT_OUT = {
         "process.choose_engagement",
         "process.default_element_height",
         "process.Immersion.*",
+        "robot.NominalRobot.motor_places",
         "robot.Robot.ancestry",
         "robot.Robot.light_joints",
         "robot.Robot.*_mask",
@@ -980,6 +1000,7 @@ LEFT_OUT = {
         "robot.rpy_*",
         "sim.MachiningProblem.of",
         "sim.MachiningProblem.padded",
+        "sim.mismatched",
         "toolpath.BlockEnds.*",
         "toolpath.ContourStatistics.of",
         "toolpath.Move.*",

@@ -20,7 +20,7 @@ from ._arrays import cast_floats, has_values, is_traced
 from ._types import FloatRows3, RealScalarLike, Transform
 from .cutter import AbstractCutter, ToolHolder
 from .cutting import AbstractForceLaw
-from .robot import Controller, Robot, TipModes, ToolRotation
+from .robot import Controller, NominalRobot, Robot, TipModes, ToolRotation
 from .settings.base import Settings
 from .settings.correction import CorrectionSettings
 from .settings.output import OutputSettings
@@ -56,7 +56,8 @@ class Job(eqx.Module):
         stock: The workpiece before the cut.
         path: The desired path, sampled at the tooth instants.
         robot: The robot with its tool, or None for a rigid machine and one of modes.
-        T_base_work: Pose of the workpiece frame in the robot's base, shape (4, 4).
+        T_base_work: Pose of the workpiece frame in the robot's base, shape (4, 4); of a
+            machine that its controller does not know, where a probe finds it.
         joint_start: Joint angles near which inverse kinematics begins [rad],
             shape (joint,), or None for the robot's home.
         simulation: Numerical settings.
@@ -79,6 +80,8 @@ class Job(eqx.Module):
         timing: How the program was timed; None for a recorded path.
         commanded: Tip positions that the program commands instead of those of the path
             [m], shape (step, 3), for a simulation; None for those of the path.
+        nominal: Robot and work as the controller knows them; None if the machine is as
+            it knows it.
     """
 
     name: str = eqx.field(static=True)
@@ -104,10 +107,13 @@ class Job(eqx.Module):
     modes: TipModes | None = None
     timing: ProgramTiming | None = eqx.field(static=True, default=None)
     commanded: FloatRows3 | None = None
+    nominal: NominalRobot | None = None
 
     def __check_init__(self):
         if self.robot is not None and self.modes is not None:
             raise ValueError("Argument `modes` must be None beside a robot.")
+        if self.robot is None and self.nominal is not None:
+            raise ValueError("Argument `nominal` must be None without a robot.")
 
     def __repr__(self) -> str:
         """Cutter, force law, stock and machine of the job, in five lines."""
@@ -138,6 +144,16 @@ class Job(eqx.Module):
         return self.robot is None and self.modes is None
 
     @property
+    def as_known(self) -> "Job":
+        """The job with the machine as its controller knows it."""
+        known = self.nominal
+        if known is None:
+            return self
+        return dataclasses.replace(
+            self, robot=known.robot, T_base_work=known.T_base_work, nominal=None
+        )
+
+    @property
     def tooth_period(self) -> RealScalarLike:
         """Time between two teeth T = 2 pi / (omega N_z) [s]."""
         return 2 * 3.141592653589793 / (self.spindle_speed * self.cutter.flute_count)
@@ -165,7 +181,8 @@ class Job(eqx.Module):
                 shape (parameter,).
 
         Returns:
-            The job; all teeth's values of a coefficient have the same factor.
+            The job; all teeth's values of a coefficient have the same factor. Where
+            the controller does not know the machine, the work is touched off anew.
 
         Raises:
             ValueError: The machine is rigid.
@@ -198,7 +215,20 @@ class Job(eqx.Module):
             for x, (_, name) in zip(values(self), places, strict=True)
         ]
         speed = jnp.asarray(self.spindle_speed) * factor[-1]
-        return eqx.tree_at(leaves, self, [*drives, *law, speed])
+        job = eqx.tree_at(leaves, self, [*drives, *law, speed])
+        return job if job.nominal is None else job.touched_off()
+
+    def touched_off(self) -> "Job":
+        """The job with its work where the probe of its machine finds it.
+
+        The same where the controller knows the machine.
+
+        Differentiability: as `NominalRobot.touch_off`.
+        """
+        if self.nominal is None or self.robot is None:
+            return self
+        frame = self.nominal.touch_off(self.robot)
+        return dataclasses.replace(self, T_base_work=frame)
 
     def _springs(self) -> tuple[str, ...]:
         """Return the names of what is soft: joints or modes."""

@@ -8,7 +8,7 @@ from diffmill import (
     UncertaintySettings,
     load_job,
 )
-from diffmill.settings.correction import SurfaceErrorSettings
+from diffmill.settings.correction import MethodSettings, SurfaceErrorSettings
 from small_job import PROGRAM, problems_of, small_job
 
 LEANING = "time_s,x_mm,y_mm,z_mm,i,j,k\n0,-9,4,9,0,0.6,0.8\n0.1,-8,4,9,0,0.6,0.8\n"
@@ -143,6 +143,22 @@ def test_a_section_without_moves_is_refused(problems):
 def test_faults_are_named(problems, line, words):
     (problem,) = problems(line)
     assert all(word in problem for word in words), problem
+
+
+def test_a_new_optimiser_holds_what_it_says(problems, settings_of, monkeypatch):
+    monkeypatch.setattr(MethodSettings, "members", dict(MethodSettings.members))
+
+    class Searching(MethodSettings, name="searching"):
+        is_optimiser = True
+
+    keys = 'method = "searching"', "horizon = 900", 'gouge = "20 um"'
+    whole, limited = problems(*keys)
+    assert 'horizon: found 900 beside method = "searching"' in whole
+    assert limited.endswith('it works with method = "gauss_newton" only')
+    Searching.needs_whole_path, Searching.holds_limits = False, True
+    assert settings_of(*keys).gouge == pytest.approx(20e-6)
+    (limited,) = problems('method = "adam"', 'gouge = "20 um"')
+    assert limited.endswith('method = "gauss_newton" or "searching" only')
 
 
 def test_what_the_cutter_does_not_allow(problems):

@@ -138,13 +138,104 @@ def test_friction_sticks_below_its_limit_and_slides_above():
     assert_allclose(v[-1], wanted, rtol=5e-3)
 
 
+# z_s of joints that stick.
+YIELD = 1e-5
+
+
+def sticking(F_c, viscous=0.0, **drive):
+    robot = slide(**drive)
+    return robot.with_friction([F_c], [viscous], [1e-3], presliding=[YIELD])
+
+
+@BOTH
+def test_a_sticking_mass_stops_as_friction_says(rule):
+    F_c, v0 = 100.0, 0.05
+    step = STEP if isinstance(rule, sim.Midpoint) else 1e-4
+    rows = round(2 * M * v0 / F_c / step)
+    q, _ = move(sticking(F_c, stiffness=1e-3), 0.0, v0, rows, rule, step=step)
+    # On its bristles it swings about the place where it stops.
+    assert_allclose(q[-1], M * v0**2 / (2 * F_c), atol=2.5 * YIELD)
+
+
+@pytest.mark.parametrize("share", [0.4, 0.95])
+def test_a_loaded_joint_that_sticks_does_not_creep(share):
+    """At rest for 10 s, with the load put on at once, so that it slides at first."""
+    weight = M * 9.81
+    robot = sticking(weight / share, damping=D, axis=(0, 0, 1))
+    q, _ = move(robot, 0.0, 0.0, round(10 / STEP), sim.Midpoint())
+    assert np.ptp(q[-2000:]) < 1e-15
+    if share < 0.5:
+        bristle = weight / share / YIELD
+        assert_allclose(q[-1], -weight / (K + bristle), rtol=1e-9)
+
+
+def test_a_shaken_joint_stays_within_its_bristles():
+    """Elastic below F_c: a load that swings leaves no drift, as Dahl's law would."""
+    F_c, stiffness = 100.0, 1e3
+    robot = sticking(F_c, stiffness=stiffness)
+    t = np.arange(4000) * STEP
+    load = np.minimum(t, 1.0) * (50.0 + 40.0 * np.sin(2 * np.pi * 5.0 * t))
+    command = load / stiffness
+
+    def step(state, theta):
+        motors = sim.MotorCommand(jnp.asarray([theta]), jnp.zeros(1))
+        terms = rb.ArmTerms.of_state(robot, state.q, state.v)
+        rule = sim.Midpoint()
+        held = rule.begin(robot, terms, jnp.asarray(STEP))
+        state = rule.step(robot, held, state, motors, jnp.zeros(1), jnp.asarray(STEP))
+        return state, state.q[0]
+
+    start = sim.ArmState.steady(robot, jnp.zeros(1), jnp.zeros(1))
+    _, q = jax.lax.scan(step, start, jnp.asarray(command))
+    assert np.abs(np.asarray(q)).max() < YIELD
+    period = round(0.2 / STEP)
+    early, late = q[-3 * period : -2 * period], q[-period:]
+    assert_allclose(np.mean(late), np.mean(early), atol=2e-3 * YIELD)
+
+
+def test_a_cycle_of_friction_takes_the_energy_of_its_loop():
+    """4 F_c (X - z_s) over a slow cycle of amplitude X: a parallelogram."""
+    F_c, X, n = 100.0, 1e-4, 4000
+    friction = sticking(F_c).friction
+    way = X * np.sin(2 * np.pi * np.arange(2 * n + 1) / n)
+    z, work = jnp.zeros(1), 0.0
+    for k, travel in enumerate(np.diff(way)):
+        rate = jnp.asarray([travel])
+        brake = friction.brake(z, rate, 0 * rate, jnp.ones(()), jnp.ones(()))
+        z = friction.moved_bristles(z, rate)
+        work += float(((brake.impulse + 0 * brake.slope) * rate)[0]) if k >= n else 0.0
+    assert_allclose(work, 4 * F_c * (X - YIELD), rtol=1e-4)
+
+
+def test_slopes_of_friction_that_sticks():
+    """Against differences, for a joint that turns round and sticks on the way."""
+    x = np.array([60.0, 3e-5, 20.0])
+
+    @jax.jit
+    def end(scale):
+        F_c, z_s, F_v = x * scale
+        robot = slide(damping=D, axis=(0, 0, 1))
+        robot = robot.with_friction([F_c], [F_v], [1e-3], presliding=[z_s])
+        start = sim.ArmState.steady(robot, jnp.zeros(1), jnp.zeros(1))
+        start = sim.ArmState(start.q, start.v + 0.05, bristles=start.bristles)
+        motion = sim.free_motion(robot, start, jnp.zeros(1), STEP, 200)
+        return 1e6 * motion.joint_positions[jnp.array([40, 120, 200]), 0]
+
+    slope = jax.jit(jax.jacfwd(end))(jnp.ones(3))
+    h = 1e-7
+    wanted = [(end(1 + h * e) - end(1 - h * e)) / (2 * h) for e in np.eye(3)]
+    assert_allclose(slope, np.array(wanted).T, rtol=1e-2, atol=1e-4)
+    assert np.abs(wanted).max() > 1.0
+
+
 def test_nothing_of_an_option_is_the_plain_drive():
     plain, rule = slide(damping=D), sim.Midpoint()
     wanted, _ = move(plain, 1e-3, 0.2, 200, rule)
     gap = plain.with_backlash([0.0])
     smooth = plain.with_friction([0.0], [0.0], [1e-3])
     scale = np.abs(wanted).max()
-    for robot in (gap, smooth):
+    still = plain.with_friction([0.0], [0.0], [1e-3], presliding=[0.0])
+    for robot in (gap, smooth, still):
         assert_allclose(move(robot, 1e-3, 0.2, 200, rule)[0], wanted, atol=1e-9 * scale)
     narrow = plain.with_backlash([1e-9])
     assert_allclose(move(narrow, 1e-3, 0.2, 200, rule)[0], wanted, atol=1e-5 * scale)
@@ -203,6 +294,10 @@ def test_what_is_refused():
         (lambda: slide().with_backlash([-1e-4]), "`gap` must be not negative"),
         (lambda: slide().with_backlash([1e-4], corner=2.0), "`corner` must be"),
         (lambda: slide().with_friction([1.0], [0.0], [0.0]), "`speed` must be pos"),
+        (
+            lambda: slide().with_friction([1.0], [0.0], [1.0], presliding=[0.0]),
+            "`presliding` must be positive where there is Coulomb friction",
+        ),
         (lambda: slide().with_motors([0.0], [1.0], [0.0]), "`inertia` must be pos"),
         (lambda: slide().with_motors([1.0, 2.0], [1.0], [0.0]), "one number per"),
     ):
@@ -228,6 +323,7 @@ stiffness = "3e5 N/m"
 [elements.drive]
 coulomb_friction = "20 N"
 friction_speed = "2 mm/s"
+presliding = "3 um"
 motor_inertia = "30 kg"
 servo_stiffness = "2e6 N/m"
 servo_damping = "500 N*s/m"
@@ -246,6 +342,7 @@ def test_options_in_a_robot_file(tmp_path):
     assert_allclose(robot.backlash.gap, [1e-4, 0.0])
     assert_allclose(robot.friction.coulomb, [0.0, 20.0])
     assert_allclose(robot.friction.speed, [1e-3, 2e-3])
+    assert_allclose(robot.friction.presliding, [0.0, 3e-6])
     assert_allclose(robot.motors.inertia, [9.0, 30.0])
     assert_allclose(robot.motors.stiffness, [1e6, 2e6])
     assert_allclose(robot.motors.damping, [0.0, 500.0])

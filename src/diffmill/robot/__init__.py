@@ -12,8 +12,15 @@ base is tilted. A wrench is external, acts on the robot at the tool's origin in 
 axes, linear part first; Jacobian and compliance are written likewise.
 """
 
-from ._algebra.rotations import rpy_matrix as rpy_matrix
+from ._algebra.rotations import (
+    rotation_matrix as rotation_matrix,
+    rpy_matrix as rpy_matrix,
+)
 from ._control.controller import Controller as Controller
+from ._control.nominal import (
+    NominalRobot as NominalRobot,
+    placed_motors as placed_motors,
+)
 from ._dynamics.crba import mass_matrix as mass_matrix
 from ._dynamics.energy import mechanical_energy as mechanical_energy
 from ._dynamics.forward import forward_dynamics as forward_dynamics

@@ -77,7 +77,8 @@ def key(
             it is None until `diffmill.config` fills it in. The default is that of
             scripts.
         works_with: Other keys of the table, by name, with the only values beside which
-            this one may be given.
+            this one may be given; where a key names a strategy, the attribute of its
+            class that must be true.
         converter: Value of the field from that of a script.
     """
     metadata: dict[str, object] = {"description": description, "follows": follows}
@@ -154,12 +155,16 @@ class Settings:
             if getattr(self, field.name) == unset:
                 continue
             for other, allowed in field.metadata["works_with"].items():
-                found = getattr(self, own[other].name)
-                found = found.name if isinstance(found, Strategy) else found
-                if found != allowed:
+                found, names = getattr(self, own[other].name), [allowed]
+                if isinstance(found, Strategy):
+                    every = found.members.items()
+                    names = [word for word, one in every if getattr(one, allowed)]
+                    found = found.name
+                if found not in names:
+                    texts = " or ".join(f'"{word}"' for word in names)
                     yield (
                         f'{name}: found beside {other} = "{found}", but it works with '
-                        f'{other} = "{allowed}" only'
+                        f"{other} = {texts} only"
                     )
 
     def leaf_names(self) -> tuple[str, ...]:

@@ -117,7 +117,8 @@ class MethodSettings(Strategy):
         is_optimiser: True if it looks for the command of the case "corrected"; else it
             is the case of its own name.
         holds_limits: True if it can hold limits of the command on positions of the tip.
-        needs_whole_path: True if a path is corrected as a whole, however long it is.
+        needs_whole_path: True if an optimiser corrects a path as a whole, however long
+            it is.
         needs_robot: True if it is known of a robot alone.
         uses_linear_run: True if it takes the derivatives of the whole run along steps.
         steps: Largest number of steps unless a job says otherwise.
@@ -125,7 +126,7 @@ class MethodSettings(Strategy):
 
     is_optimiser: ClassVar[bool] = False
     holds_limits: ClassVar[bool] = False
-    needs_whole_path: ClassVar[bool] = False
+    needs_whole_path: ClassVar[bool] = True
     needs_robot: ClassVar[bool] = False
     uses_linear_run: ClassVar[bool] = False
     steps: ClassVar[int] = 2
@@ -141,6 +142,7 @@ class GaussNewtonSettings(MethodSettings, name="gauss_newton"):
 
     is_optimiser: ClassVar[bool] = True
     holds_limits: ClassVar[bool] = True
+    needs_whole_path: ClassVar[bool] = False
     uses_linear_run: ClassVar[bool] = True
 
 
@@ -148,7 +150,6 @@ class AdamSettings(MethodSettings, name="adam"):
     """Adam on spline offsets."""
 
     is_optimiser: ClassVar[bool] = True
-    needs_whole_path: ClassVar[bool] = True
     steps: ClassVar[int] = 60
 
 
@@ -255,8 +256,8 @@ class UncertaintySettings(Settings, table="correction.uncertainty"):
     )
 
 
-# What only Gauss-Newton on positions of the tip can hold.
-_HELD = {"method": "gauss_newton", "command": "tip"}
+# What only some methods can hold, and on positions of the tip alone.
+_HELD = {"method": "holds_limits", "command": "tip"}
 
 
 class CorrectionSettings(Settings, table="correction"):

@@ -65,3 +65,4 @@ from ._machine.machine import (
 from ._machine.modal import ModalMachine as ModalMachine
 from ._machine.quasi_static import QuasiStaticArm as QuasiStaticArm
 from ._machine.rigid import simulate_process as simulate_process
+from ._truth.mismatched import mismatched as mismatched

@@ -66,7 +66,7 @@ def _check_segments(
     table: CorrectionSettings, mode: ModeSettings, problems: list[str]
 ) -> None:
     """Faults of a horizon beside strategies of whole paths, or a longer overlap."""
-    objective, method = table.objective, table.method
+    objective, method = table.objective, table.optimiser
     for beside, is_whole in (
         (f'objective = "{objective.name}"', objective.needs_whole_path),
         ("an uncertainty", table.uncertainty is not None),

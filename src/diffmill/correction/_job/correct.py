@@ -217,12 +217,13 @@ def correct(
     if job.robot is not None:
         # A robot without inertia and damping is one that moves without end slowly.
         is_slow = not job.simulation.mode.vibrates
+        kinematics = JobKinematics(job)
         inverse = _inverse_drive(
-            job.robot,
-            JobKinematics(job).joints(desired).positions,
+            kinematics.robot,
+            kinematics.joints(desired).positions,
             before.rigid.force,
             math.inf if is_slow else job.tooth_period,
-            T_base_work=job.T_base_work,
+            T_base_work=kinematics.T_base_work,
             is_gravity_compensated=job.simulation.is_gravity_compensated,
         )
     _run_baselines(task, record, segments, inverse)

@@ -55,7 +55,7 @@ class JointLimits(eqx.Module):
 
         **Differentiability**: none, a host function.
         """
-        job = self.job
+        job = self.job.as_known
         robot = job.robot
         if robot is None:
             return ()
@@ -93,7 +93,7 @@ class JointLimits(eqx.Module):
 
         **Differentiability**: none, a host function.
         """
-        job = self.job
+        job = self.job.as_known
         robot = job.robot
         if robot is None:
             return

@@ -150,8 +150,9 @@ class JointPlant(AbstractHostPlant):
         if self.rigid is None:
             return _compiled(job, motors, self.wall_share)
         # The tips that belong to the joints, for the record.
-        T = jnp.asarray(job.T_base_work)
-        tips = jax.vmap(lambda q: forward_kinematics(job.robot, q)[:3, 3])(command)  # pyright: ignore[reportArgumentType]
+        known = JobKinematics(job)
+        T = jnp.asarray(known.T_base_work)
+        tips = jax.vmap(lambda q: forward_kinematics(known.robot, q)[:3, 3])(command)
         tips = (tips - T[:3, 3][None]) @ T[:3, :3]
         return solved_motion(
             Solution.of_command(job, self.rigid, tips, self.adjoint, motors)

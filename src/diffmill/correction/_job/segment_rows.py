@@ -36,7 +36,7 @@ class SegmentRows(eqx.Module):
             UnsuitableSettings: The job asks for segments where there can be none.
         """
         settings, rows = job.correction, job.path.step_count
-        strategies = settings.objective, settings.method, job.simulation.mode
+        strategies = settings.objective, settings.optimiser, job.simulation.mode
         is_able = not any(one.needs_whole_path for one in strategies)
         is_able &= settings.uncertainty is None and not has_own_objective
         if settings.horizon == "auto":
@@ -47,9 +47,9 @@ class SegmentRows(eqx.Module):
             return None
         if not is_able:
             raise UnsuitableSettings(
-                'Argument `job` must have the horizon "auto" unless its objective is '
-                '"path" and not one of your own, its mode "dynamic", its model certain '
-                f'and its method "gauss_newton", but has a horizon of {horizon} rows.'
+                'Argument `job` must have the horizon "auto" unless its objective, '
+                "method and mode take a path in segments, its model is certain and the "
+                f"objective not one of your own, but has a horizon of {horizon} rows."
             )
         overlap, ahead = settings.overlap, preview_rows(job)
         if overlap == "auto":

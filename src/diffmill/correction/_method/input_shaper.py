@@ -70,6 +70,7 @@ def shaped_program(job: Job, desired: Float[Array, "step 3"]) -> Float[Array, "s
 
     **Differentiability**: none, a host function.
     """
+    job = job.as_known
     if job.modes is not None:
         ratios = np.asarray(job.modes.damping_ratios)
         frequencies = np.asarray(job.modes.frequencies) * np.sqrt(1 - ratios**2)

@@ -1,4 +1,4 @@
-"""Rotations: roll-pitch-yaw, rotation vectors, and those between two orientations."""
+"""Rotations: roll-pitch-yaw and back, and the vector between two orientations."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -8,8 +8,8 @@ from ..._types import RealScalarLike
 
 # 4 cos^2(angle / 2) below which a rotation counts as half a turn.
 _FLOOR = 1e-3
-# Square of an angle [rad^2] below which its series is exact to rounding.
-_SMALL_ANGLE = 1e-6
+# Angle below which a rotation is taken by its series [rad]; off by less than rounding.
+_SMALL_ANGLE = 1e-3
 
 
 def rpy_matrix(
@@ -38,27 +38,27 @@ def rpy_matrix(
     )
 
 
-def rotation_of_vector(vector: Float[Array, " 3"]) -> Float[Array, "3 3"]:
-    """Rotation R = I + a K + b K K of a rotation vector [rad], shape (3, 3).
-
-    Rodrigues' formula: K is the cross product with the vector w as a matrix,
-    a = sin |w| / |w| and b = (1 - cos |w|) / |w|^2.
+def rotation_matrix(vector: Float[Array, " 3"]) -> Float[Array, "3 3"]:
+    """R of a rotation vector, by Rodrigues' formula.
 
     Args:
-        vector: Axis times angle w [rad], shape (3,).
+        vector: Axis times angle [rad], shape (3,).
+
+    Returns:
+        Rotation matrix, shape (3, 3).
+
+    **Differentiability**: smooth, at zero too.
     """
     square = jnp.sum(vector**2)
-    is_small = square < _SMALL_ANGLE
+    is_small = square < _SMALL_ANGLE**2
     safe = jnp.where(is_small, 1.0, square)
     angle = jnp.sqrt(safe)
-    a = jnp.where(is_small, 1.0 - square / 6.0, jnp.sin(angle) / angle)
-    b = jnp.where(is_small, 0.5 - square / 24.0, (1.0 - jnp.cos(angle)) / safe)
+    sine = jnp.where(is_small, 1 - square / 6, jnp.sin(angle) / angle)
+    cosine = jnp.where(is_small, 0.5 - square / 24, (1 - jnp.cos(angle)) / safe)
     x, y, z = vector
     zero = jnp.zeros_like(x)
     K = jnp.stack([zero, -z, y, z, zero, -x, -y, x, zero]).reshape(3, 3)
-    # K K = w w^T - |w|^2 I
-    KK = vector[:, None] * vector[None] - square * jnp.eye(3, dtype=vector.dtype)
-    return jnp.eye(3, dtype=vector.dtype) + a * K + b * KK
+    return jnp.eye(3, dtype=K.dtype) + sine * K + cosine * K @ K
 
 
 def rotation_between(

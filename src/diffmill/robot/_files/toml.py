@@ -219,6 +219,7 @@ _OPTIONS = {
     "coulomb_friction": ("force", False),
     "viscous_friction": ("damping", False),
     "friction_speed": ("speed", True),
+    "presliding": ("position", True),
     "motor_inertia": ("inertia", True),
     "servo_stiffness": ("stiffness", True),
     "servo_damping": ("damping", False),

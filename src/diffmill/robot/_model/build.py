@@ -263,7 +263,11 @@ def _with_drive_options(robot: Robot, drives: Sequence[Drive | None]) -> Robot:
         robot = robot.with_backlash(column("backlash"))
     coulomb, viscous = column("coulomb_friction"), column("viscous_friction")
     if any(coulomb + viscous):
-        robot = robot.with_friction(coulomb, viscous, column("friction_speed"))
+        presliding = None
+        if any(drive.presliding is not None for drive in filled):
+            presliding = [drive.presliding or 0.0 for drive in filled]
+        speed = column("friction_speed")
+        robot = robot.with_friction(coulomb, viscous, speed, presliding=presliding)
     has_mass = [drive.motor_inertia is not None for drive in filled]
     if not any(has_mass):
         return robot

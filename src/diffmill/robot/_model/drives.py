@@ -1,9 +1,9 @@
 """Options of drives beyond spring and damper, each switched on by its data.
 
 Backlash: the gear carries nothing within a gap. Friction: of the joint, on its own side
-of the gear. Motors: a mass behind the gear that a servo holds, instead of one that
-stands at its command. Gear waves: a gear that does not turn evenly. An option that is
-None is absent from the compiled program.
+of the gear; it creeps, or sticks on bristles. Motors: a mass behind the gear that a
+servo holds, instead of one that stands at its command. Gear waves: a gear that does not
+turn evenly. An option that is None is absent from the compiled program.
 """
 
 import math
@@ -88,6 +88,18 @@ class Backlash(eqx.Module):
         return (b - w) / 2 + math.sqrt(2 * _LEAST_LOAD) * w
 
 
+class Brake(eqx.Module):
+    """Impulse of friction in a sub-step, impulse + slope dv, about a guess of dv.
+
+    Attributes:
+        impulse: At dv = 0 [N m s or N s], shape (joint,).
+        slope: In dv, the change of the velocity [kg m^2 or kg], shape (joint,).
+    """
+
+    impulse: Float[Array, " joint"]
+    slope: Float[Array, " joint"]
+
+
 class Friction(eqx.Module):
     """Friction of the joints; see `Robot.with_friction`.
 
@@ -95,14 +107,17 @@ class Friction(eqx.Module):
         coulomb: F_c [N m or N], shape (joint,).
         viscous: F_v [N m s/rad or N s/m], shape (joint,).
         speed: v_s [rad/s or m/s], shape (joint,).
+        presliding: z_s, by which a joint yields before it slides [rad or m], shape
+            (joint,); None for joints that creep below v_s instead of sticking.
     """
 
     coulomb: Float[Array, " joint"]
     viscous: Float[Array, " joint"]
     speed: Float[Array, " joint"]
+    presliding: Float[Array, " joint"] | None = None
 
     def torque(self, v: Float[Array, " joint"]) -> Float[Array, " joint"]:
-        """Torque against a motion at v [N m or N], shape (joint,)."""
+        """Torque against a steady motion at v [N m or N], shape (joint,)."""
         return self.coulomb * jnp.tanh(v / self.speed) + self.viscous * v
 
     def coulomb_damping(self, v: Float[Array, " joint"]) -> Float[Array, " joint"]:
@@ -122,6 +137,85 @@ class Friction(eqx.Module):
         safe = jnp.where(is_slow, 1.0, x)
         share = jnp.where(is_slow, 1.0, jnp.tanh(safe) / safe)
         return self.coulomb / self.speed * share
+
+    def steady_bristles(self, v: Float[Array, " joint"]) -> Array | None:
+        """Bristles z in a steady motion at v [rad or m], shape (joint,).
+
+        None for friction without any.
+        """
+        if self.presliding is None:
+            return None
+        return self.presliding * jnp.tanh(v / self.speed)
+
+    def moved_bristles(
+        self, z: Float[Array, " joint"], travel: Float[Array, " joint"]
+    ) -> Float[Array, " joint"]:
+        """Bristles after a way of the joints: z + travel, at most z_s to either side.
+
+        Args:
+            z: Before [rad or m], shape (joint,).
+            travel: Way of the joints [rad or m], shape (joint,).
+        """
+        assert self.presliding is not None
+        return jnp.clip(z + travel, -self.presliding, self.presliding)
+
+    def bristle_stiffness(self) -> Float[Array, " joint"]:
+        """Stiffness F_c / z_s of a joint that sticks [N m/rad or N/m]; 0 without."""
+        assert self.presliding is not None
+        has_any = self.presliding > 0.0
+        return jnp.where(
+            has_any, self.coulomb / jnp.where(has_any, self.presliding, 1.0), 0.0
+        )
+
+    def brake(
+        self,
+        z: Float[Array, " joint"] | None,
+        v: Float[Array, " joint"],
+        dv: Float[Array, " joint"],
+        step: Float[Array, ""],
+        ahead: Float[Array, ""] | Float[Array, " joint"],
+    ) -> Brake:
+        """Impulse of friction in a sub-step.
+
+        Args:
+            z: Bristles at its start [rad or m], shape (joint,); None without any.
+            v: Velocities at its start [rad/s or m/s], shape (joint,).
+            dv: Guess of their change in it [rad/s or m/s], shape (joint,).
+            step: Its length h [s].
+            ahead: s, from its start to where forces act [s]; may differ by joint.
+
+        Returns:
+            The impulse. A smooth law brakes as fast as the joint moves at the end of
+            the sub-step. Bristles push by their mean over the way.
+        """
+        h, s = step, ahead
+        impulse, slope = h * self.viscous * v, s * self.viscous
+        if z is None:
+            c = h * self.coulomb_damping(v + dv)
+            return Brake(impulse + c * v, slope + c)
+        elastic, travel = h * self.bristle_stiffness(), h * v + s * dv
+        end = self.moved_bristles(z, travel)
+        sticks = end == z + travel
+        # The share of the way on which bristles still stretch that then slide.
+        share = (end - z) / jnp.where(sticks, 1.0, travel)
+        sliding = elastic * (end - share * (end - z) / 2)
+        held = elastic * (z + h * v / 2)
+        return Brake(
+            impulse + jnp.where(sticks, held, sliding),
+            slope + jnp.where(sticks, elastic * s / 2, 0.0),
+        )
+
+    def torque_and_rate(
+        self, z: Float[Array, " joint"] | None, v: Float[Array, " joint"]
+    ) -> tuple[Float[Array, " joint"], Float[Array, " joint"] | None]:
+        """Torque against the motion [N m or N], and the rate of the bristles."""
+        if z is None or self.presliding is None:
+            return self.torque(v), None
+        is_stretched = (jnp.abs(z) >= self.presliding) & (z * v > 0)
+        # A rule with steps of its own may bring a bristle beyond its end.
+        held = self.moved_bristles(z, jnp.zeros_like(z))
+        torque = self.bristle_stiffness() * held + self.viscous * v
+        return torque, jnp.where(is_stretched, 0.0, v)
 
 
 class Motors(eqx.Module):

@@ -90,6 +90,8 @@ class Drive(eqx.Module):
         coulomb_friction: Of the joint [N m or N].
         viscous_friction: Of the joint [N m s/rad or N s/m].
         friction_speed: Above it the joint slides [rad/s or m/s].
+        presliding: By which the joint yields before it slides [rad or m]; None for a
+            joint that creeps instead of sticking.
         motor_inertia: Of the motor on the joint's side of the gear [kg m^2 or kg];
             None for a motor that stands at its command.
         servo_stiffness: Stiffness of the servo that holds the motor [N m/rad or N/m].
@@ -100,6 +102,7 @@ class Drive(eqx.Module):
     coulomb_friction: RealScalarLike = 0.0
     viscous_friction: RealScalarLike = 0.0
     friction_speed: RealScalarLike = 1e-3
+    presliding: RealScalarLike | None = None
     motor_inertia: RealScalarLike | None = None
     servo_stiffness: RealScalarLike | None = None
     servo_damping: RealScalarLike = 0.0

@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..._types import RealScalarLike
-from .._algebra.rotations import rotation_of_vector
+from .._algebra.rotations import rotation_matrix
 from .._algebra.spatial import apply_matrix, matrix_product
 from .drives import GearWaves
 from .mimic import unfold_rates
@@ -108,7 +108,7 @@ class LinkErrors(eqx.Module):
         self._check_shapes(robot)
         R, p = robot.placement_rotations, robot.placement_positions
         own = np.array([body for body, m in enumerate(robot.mimics) if m is None])
-        turns = jax.vmap(rotation_of_vector)(self.rotation)
+        turns = jax.vmap(rotation_matrix)(self.rotation)
         p = p.at[own].add(apply_matrix(R[own], self.displacement))
         R = R.at[own].set(matrix_product(R[own], turns))
         # An offset is the joint's own motion, and that of those that follow it.
@@ -119,12 +119,12 @@ class LinkErrors(eqx.Module):
         p = p + R[:, :, 2] * jnp.where(slides, offsets, 0.0)[:, None]
         angle = jnp.where(slides, 0.0, offsets)
         about_z = jnp.stack([0.0 * angle, 0.0 * angle, angle], axis=-1)
-        R = matrix_product(R, jax.vmap(rotation_of_vector)(about_z))
-        R_base = rotation_of_vector(self.base_rotation)
+        R = matrix_product(R, jax.vmap(rotation_matrix)(about_z))
+        R_base = rotation_matrix(self.base_rotation)
         is_root = np.array(robot.parents) < 0
         moved = jax.vmap(lambda p: apply_matrix(R_base, p) + self.base_position)(p)
         turned = jax.vmap(lambda R: matrix_product(R_base, R))(R)
-        R_tool = rotation_of_vector(self.tool_rotation)
+        R_tool = rotation_matrix(self.tool_rotation)
         T_tool = jnp.eye(4, dtype=R.dtype).at[:3, :3].set(R_tool)
         T_tool = T_tool.at[:3, 3].set(self.tool_position)
         waves = robot.gear_waves

@@ -262,23 +262,39 @@ class Robot(eqx.Module):
         return dataclasses.replace(self, backlash=Backlash(b, share))
 
     def with_friction(
-        self, coulomb: JointVector, viscous: JointVector, speed: JointVector
+        self,
+        coulomb: JointVector,
+        viscous: JointVector,
+        speed: JointVector,
+        *,
+        presliding: JointVector | None = None,
     ) -> "Robot":
-        """Robot with friction in its joints.
+        """Robot with friction in its joints, which creeps or sticks.
 
-            tau_f = F_c tanh(v / v_s) + F_v v
+            tau_f = F_c tanh(v / v_s) + F_v v                  without presliding
+            tau_f = F_c z / z_s + F_v v,   |z| <= z_s          with it
+
+        Below v_s the first law creeps where a real joint sticks. The second is that of
+        an elastic and perfectly plastic bristle: z follows the joint, and stops at z_s,
+        where the joint slides. A joint under a load below F_c stays where it is.
 
         Args:
             coulomb: F_c [N m or N], shape (joint,); 0 for none.
             viscous: F_v [N m s/rad or N s/m], shape (joint,); 0 for none.
-            speed: v_s, above which a joint slides [rad/s or m/s], shape (joint,). Below
-                it the joint creeps where a real one would stick.
+            speed: v_s, above which a joint slides [rad/s or m/s], shape (joint,). With
+                presliding it counts only for how a run begins: z = z_s tanh(v / v_s).
+            presliding: z_s, by which a joint yields before it slides [rad or m], shape
+                (joint,); 0 where there is no Coulomb friction. None for the first law.
 
         Returns:
             The changed robot.
 
         Raises:
-            ValueError: If a friction is negative or a speed not positive.
+            ValueError: If a friction is negative, a speed not positive, or a presliding
+                not positive where there is Coulomb friction.
+
+        **Differentiability**: the first law is smooth; the second has kinks where a
+        joint begins to slide or turns round.
         """
         F_c = joint_vector(self, coulomb, "coulomb")
         F_v = joint_vector(self, viscous, "viscous")
@@ -286,7 +302,13 @@ class Robot(eqx.Module):
         _check_drives("coulomb", F_c, F_c >= 0.0, "not negative")
         _check_drives("viscous", F_v, F_v >= 0.0, "not negative")
         _check_drives("speed", v_s, v_s > 0.0, "positive")
-        return dataclasses.replace(self, friction=Friction(F_c, F_v, v_s))
+        z_s = None
+        if presliding is not None:
+            z_s = joint_vector(self, presliding, "presliding")
+            is_good = (z_s > 0.0) | ((z_s == 0.0) & (F_c == 0.0))
+            allowed = "positive where there is Coulomb friction"
+            _check_drives("presliding", z_s, is_good, allowed)
+        return dataclasses.replace(self, friction=Friction(F_c, F_v, v_s, z_s))
 
     def with_motors(
         self, inertia: JointVector, stiffness: JointVector, damping: JointVector
@@ -427,7 +449,7 @@ class Robot(eqx.Module):
         return lift + self.servo_deflection(gravity)
 
     def friction_torque(self, v: Float[Array, " joint"]) -> Float[Array, " joint"]:
-        """Torque of friction against a motion [N m or N], shape (joint,).
+        """Torque of friction against a steady motion [N m or N], shape (joint,).
 
         Args:
             v: Joint velocities [rad/s or m/s], shape (joint,).

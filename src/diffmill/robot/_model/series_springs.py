@@ -137,6 +137,7 @@ def _plain_drives(robot: Robot, count: int) -> dict[str, eqx.Module | None]:
             extend(friction.coulomb, 0.0),
             extend(friction.viscous, 0.0),
             extend(friction.speed, 1.0),
+            None if friction.presliding is None else extend(friction.presliding, 0.0),
         )
     if motors is not None:
         motors = Motors(

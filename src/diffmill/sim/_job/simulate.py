@@ -110,7 +110,7 @@ class Solution(eqx.Module):
         rigid: Run,
         commanded: Float[Array, "step 3"],
         adjoint: AbstractAdjoint,
-        motors: Float[Array, "step joint"] | None = None,
+        motors: FloatRows | None = None,
     ) -> "Solution":
         """Return the solution of a command, given the rigid cut of the desired path.
 
@@ -256,6 +256,7 @@ def simulate(
     on_progress: OnProgress | None = None,
     adjoint: AbstractAdjoint | None = None,
     commanded: FloatRows3 | None = None,
+    motors: FloatRows | None = None,
 ) -> Solution:
     """Predict forces, deviation and the machined stock of a job.
 
@@ -269,6 +270,8 @@ def simulate(
             then need not remember what made them.
         commanded: Tip positions that the program commands instead of the desired
             path [m], shape (step, 3); by default those of the job, if it has any.
+        motors: Motor positions at the rows instead of those of `commanded`, before the
+            controller [rad or m], shape (step, joint).
 
     Returns:
         The solution.
@@ -276,8 +279,8 @@ def simulate(
     Raises:
         SimulationFailed: The outcome is not successful; the message names the time
             and place, and the exception carries the solution.
-        ValueError: The precision asked for is not enabled in JAX, or `commanded` has
-            another number of rows than the path.
+        ValueError: The precision asked for is not enabled in JAX, `commanded` or
+            `motors` has another shape, or a rigid machine is given motors.
 
     Differentiability: in all leaves of the job, as `simulate_process`.
     """
@@ -289,7 +292,13 @@ def simulate(
     job = dataclasses.replace(job, commanded=None)
     shape, dtype = (job.path.step_count, 3), np.dtype(job.simulation.precision)
     commanded = _checked(commanded, "commanded", shape, dtype)
-    solution = simulate_with_slot_growth(job, commanded, adjoint, tell).solution
+    if motors is not None:
+        if job.robot is None:
+            raise ValueError("Argument `motors` must be None without a robot.")
+        shape = job.path.step_count, job.robot.joint_count
+        motors = _checked(motors, "motors", shape, dtype)
+    run = simulate_with_slot_growth(job, commanded, adjoint, tell, motors=motors)
+    solution = run.solution
     tell("done", 1.0)
     if throw and not isinstance(solution.actual, jax.core.Tracer):
         solution.raise_unless_successful(job)
@@ -320,6 +329,8 @@ def simulate_with_slot_growth(
     commanded: Float[Array, "step 3"],
     adjoint: AbstractAdjoint,
     on_progress: OnProgress,
+    *,
+    motors: FloatRows | None = None,
 ) -> SolvedJob:
     """Run a job, and again with more slots while its rays need more intervals.
 
@@ -328,6 +339,7 @@ def simulate_with_slot_growth(
         commanded: Tip positions that the program says [m], shape (step, 3).
         adjoint: How to differentiate through the removal.
         on_progress: Called with a message and the share done.
+        motors: As of `simulate`.
 
     Differentiability: as `simulate`; what is traced is run once.
     """
@@ -340,11 +352,11 @@ def simulate_with_slot_growth(
         on_progress(f"rigid cut again: {job.notes[-1]}", 0.0)
         rigid = rigid_cut(job, adjoint)
     on_progress("robot and cut", 0.4)
-    solution = Solution.of_command(job, rigid, commanded, adjoint)
+    solution = Solution.of_command(job, rigid, commanded, adjoint, motors)
     while (more := _with_more_intervals(job, solution.result)) is not None:
         job = more
         on_progress(f"robot and cut again: {job.notes[-1]}", 0.4)
-        solution = Solution.of_command(job, rigid, commanded, adjoint)
+        solution = Solution.of_command(job, rigid, commanded, adjoint, motors)
     return SolvedJob(job, solution)
 
 

@@ -25,6 +25,7 @@ from ...robot import (
     inverse_kinematics,
     inverse_kinematics_path,
     motor_positions,
+    placed_motors,
 )
 from ...workpiece import Pose
 
@@ -47,7 +48,7 @@ class JobKinematics(eqx.Module):
     A machine of modes has no joints: its drives are where the tip is.
 
     Attributes:
-        arm: The robot; None for a machine of modes.
+        arm: The robot that the controller knows; None for a machine of modes.
         T_base_work: Pose of the workpiece frame in the robot's base, shape (4, 4).
         joint_start: Joints near which inverse kinematics begins, shape (joint,); None
             for the robot's home.
@@ -55,6 +56,8 @@ class JobKinematics(eqx.Module):
         tool_x: Unit x of the tool, shape (step, 3); None if the path leaves it open.
         tool_rotation: Rotation about the tool axis, as of the job.
         is_gravity_compensated: Whether the controller takes the sag away.
+        motor_places: `NominalRobot.motor_places`, where the machine is not the one that
+            the controller knows; None where it is.
     """
 
     arm: Robot | None
@@ -64,6 +67,7 @@ class JobKinematics(eqx.Module):
     tool_x: FloatRows3 | None
     tool_rotation: ToolRotation = eqx.field(static=True)
     is_gravity_compensated: bool = eqx.field(static=True)
+    motor_places: tuple[int, ...] | None = eqx.field(static=True)
 
     def __init__(self, job: Job):
         """Take what the kinematics needs of a job in its precision.
@@ -75,8 +79,12 @@ class JobKinematics(eqx.Module):
             raise ValueError(
                 "Argument `job` must have a robot, but its machine is rigid."
             )
-        self.arm = job.robot
-        self.T_base_work = job.T_base_work
+        known = job.as_known
+        self.arm = known.robot
+        self.T_base_work = known.T_base_work
+        self.motor_places = None
+        if job.nominal is not None and job.robot is not None:
+            self.motor_places = job.nominal.motor_places(job.robot)
         self.joint_start = job.joint_start
         self.tool_axes = job.tool_axes
         self.tool_x = job.path.tool_x
@@ -150,14 +158,14 @@ class JobKinematics(eqx.Module):
 
     def motor_positions_from_joints(
         self, joints: Float[Array, "step joint"]
-    ) -> Float[Array, "step joint"]:
+    ) -> Float[Array, "step machine_joint"]:
         """Return the motor positions for commanded joints, sag added if compensated.
 
         Args:
             joints: Commanded joint positions [rad or m], shape (step, joint).
 
         Returns:
-            Motor positions [rad or m], shape (step, joint).
+            Positions of the machine's motors [rad or m], shape (step, joint).
 
         **Differentiability**: that of `motor_positions`.
         """
@@ -168,7 +176,7 @@ class JobKinematics(eqx.Module):
             rows = padded_count(count)
             joints = on_device(pad_rows(joints, rows))
         motors = _motors(self.robot, joints, self.is_gravity_compensated)
-        return first_rows(motors, count)
+        return self._of_machine(first_rows(motors, count))
 
     def tool_command(
         self, commanded: Float[Array, "step 3"]
@@ -183,7 +191,7 @@ class JobKinematics(eqx.Module):
         self,
         joints: Float[Array, "step joint"],
         commanded: Float[Array, "step 3"] | None = None,
-    ) -> Float[Array, "step joint axis"]:
+    ) -> Float[Array, "step machine_joint axis"]:
         """Slopes of the motors of each row in its command.
 
         Args:
@@ -215,7 +223,15 @@ class JobKinematics(eqx.Module):
             rows_of_path, self, (None, None), is_leaf=lambda x: x is None
         )
         found = _slopes(known, joints, Ts, row_count)
-        return first_rows(found, count)
+        return self._of_machine(first_rows(found, count))
+
+    def _of_machine(
+        self, motors: Float[Array, "step joint *axis"]
+    ) -> Float[Array, "step machine_joint *axis"]:
+        """Motors of the robot that the controller knows, at the machine's joints."""
+        if self.motor_places is None:
+            return motors
+        return placed_motors(self.motor_places, motors)
 
 
 @eqx.filter_jit

@@ -4,6 +4,8 @@ The integrators of the coupled simulation, to see what they do to an oscillation
 their order, the damping that they add and the energy that they keep.
 """
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -45,7 +47,7 @@ def free_motion(
     Args:
         robot: The robot.
         start: Where it begins; motors with a mass that it does not place begin at
-            rest at theta.
+            rest at theta, and bristles unstretched.
         motor_positions: theta [rad or m], shape (joint,); 0 for virtual joints.
         time_step: Step h [s], shape ().
         rows: Rows of the result after the first.
@@ -61,7 +63,10 @@ def free_motion(
     rule = Midpoint() if integrator is None else integrator
     if robot.motors is not None and start.theta is None:
         still = jnp.zeros_like(motor_positions)
-        start = ArmState(start.q, start.v, motor_positions, still)
+        start = ArmState(start.q, start.v, motor_positions, still, start.bristles)
+    if robot.friction is not None and start.bristles is None:
+        bristles = robot.friction.steady_bristles(jnp.zeros_like(start.v))
+        start = dataclasses.replace(start, bristles=bristles)
     h = jnp.asarray(time_step, start.q.dtype)
     command = MotorCommand(motor_positions, jnp.zeros_like(motor_positions))
     rest = jnp.zeros_like(start.q)

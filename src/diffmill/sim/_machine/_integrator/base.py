@@ -33,12 +33,15 @@ class ArmState(eqx.Module):
         theta: Positions of motors that have a mass [rad or m], shape (joint,); None
             where they stand as the controller says.
         omega: Their velocities [rad/s or m/s], shape (joint,), or None.
+        bristles: z of joints that stick [rad or m], shape (joint,); None for friction
+            without any.
     """
 
     q: Float[Array, " joint"]
     v: Float[Array, " joint"]
     theta: Float[Array, " joint"] | None = None
     omega: Float[Array, " joint"] | None = None
+    bristles: Float[Array, " joint"] | None = None
 
     @classmethod
     def steady(
@@ -68,11 +71,12 @@ class ArmState(eqx.Module):
 
         # A loop, since each copy of the arm's terms would be compiled for itself.
         q, torques = jax.lax.scan(balance, theta, length=3)
+        z = None if robot.friction is None else robot.friction.steady_bristles(v)
         if robot.motors is None:
-            return cls(q, v)
+            return cls(q, v, bristles=z)
         motors = robot.motor_mask()
         held = theta - robot.servo_deflection(torques[-1])
-        return cls(q, v, held, jnp.where(motors, v, 0.0))
+        return cls(q, v, held, jnp.where(motors, v, 0.0), z)
 
 
 class MotorCommand(eqx.Module):
@@ -176,11 +180,11 @@ def state_rate(
 
     **Differentiability**: smooth; as the drive's options.
     """
-    push, spin = _drive(robot, state, command)
+    drive = _drive(robot, state, command)
     acceleration = forward_dynamics(
-        robot, state.q, state.v, push + load, algorithm=dynamics
+        robot, state.q, state.v, drive.push + load, algorithm=dynamics
     )
-    return ArmState(state.v, acceleration, state.omega, spin)
+    return ArmState(state.v, acceleration, state.omega, drive.spin, drive.bristles)
 
 
 def constant_command_rate(
@@ -196,24 +200,41 @@ def constant_command_rate(
 
     **Differentiability**: smooth; as the drive's options.
     """
-    push, spin = _drive(robot, state, command)
+    drive = _drive(robot, state, command)
     moved = state.q - terms.joint_positions
     bias = terms.bias_forces + terms.gravity_stiffness @ moved
-    acceleration = terms.augmented_inverse() @ (push + load - bias)
-    return ArmState(state.v, acceleration, state.omega, spin)
+    acceleration = terms.augmented_inverse() @ (drive.push + load - bias)
+    return ArmState(state.v, acceleration, state.omega, drive.spin, drive.bristles)
 
 
-def _drive(
-    robot: Robot, state: ArmState, command: MotorCommand
-) -> tuple[Float[Array, " joint"], Float[Array, " joint"] | None]:
-    """Torque of gears and friction on the joints, and the motors' acceleration."""
+class _Drive(eqx.Module):
+    """Torque of gears and friction on the joints, and rates of the drives' own state.
+
+    Attributes:
+        push: [N m or N], shape (joint,).
+        spin: Acceleration of motors with a mass [rad/s^2 or m/s^2], or None.
+        bristles: Rate of the bristles [rad/s or m/s], or None.
+    """
+
+    push: Float[Array, " joint"]
+    spin: Float[Array, " joint"] | None
+    bristles: Float[Array, " joint"] | None
+
+
+def _drive(robot: Robot, state: ArmState, command: MotorCommand) -> _Drive:
+    """Drives in a state of the arm."""
     theta, omega = command.position, command.rate
     if robot.motors is not None:
         assert state.theta is not None and state.omega is not None
         theta, omega = state.theta, state.omega
     tau = robot.gear_torque(theta - state.q, omega - state.v).torque
-    push = tau - robot.friction_torque(state.v)
+    push, bristles = tau, None
+    if robot.friction is not None:
+        z, v = state.bristles, state.v
+        friction, bristles = robot.friction.torque_and_rate(z, v)
+        push = tau - friction
     if robot.motors is None:
-        return push, None
+        return _Drive(push, None, bristles)
     pull = servo_torque(robot, command, theta, omega) - tau
-    return push, jnp.where(robot.motor_mask(), pull / robot.motors.inertia, 0.0)
+    spin = jnp.where(robot.motor_mask(), pull / robot.motors.inertia, 0.0)
+    return _Drive(push, spin, bristles)

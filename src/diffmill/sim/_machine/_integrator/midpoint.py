@@ -12,7 +12,7 @@ from ....robot import (
 )
 from .base import AbstractIntegrator, ArmState, Dynamics, MotorCommand, servo_torque
 
-# Coulomb friction's damper is found in this many steps, warm from the last sub-step.
+# A joint's friction, which depends on whether it stops, is found in so many steps.
 _BRAKE_STEPS = 3
 
 
@@ -49,7 +49,9 @@ class Midpoint(AbstractIntegrator):
     Gears with a gap take their slopes where the sub-step begins to act, half of it
     ahead. Motors with a mass are eliminated: their part of the matrix is diagonal.
     Coulomb friction brakes as fast as the joint moves at the end of the sub-step, so
-    that it stops a joint and never turns it round; of order 1 where it does.
+    that it stops a joint and never turns it round; of order 1 where it does. Bristles
+    of a joint that sticks are a spring more; where they reach their end on the way,
+    their mean push counts.
 
     Fast joints (a bending tool) go over to backward Euler where a sub-step is too long
     for their mode: they follow the force at once instead of ringing.
@@ -113,13 +115,16 @@ class Midpoint(AbstractIntegrator):
             dv = prepared.inverse @ push
         else:
             A = prepared.terms.mass_matrix + jnp.diag(drive.diagonal)
-            dv = _braked(robot, A, push, v, h, s)
+            dv = _braked(robot, A, push, state, h, s)
+        z = state.bristles
+        if z is not None and robot.friction is not None:
+            z = robot.friction.moved_bristles(z, h * (v + w * dv))
         q, v = q + h * (v + w * dv), v + dv
         if state.theta is None or state.omega is None:
-            return ArmState(q, v)
+            return ArmState(q, v, bristles=z)
         domega = drive.weight * pull + drive.share * dv
         theta = state.theta + h * (state.omega + w * domega)
-        return ArmState(q, v, theta, state.omega + domega)
+        return ArmState(q, v, theta, state.omega + domega, z)
 
 
 def _implicitness(
@@ -184,18 +189,16 @@ def _braked(
     robot: Robot,
     A: Float[Array, "joint joint"],
     push: Float[Array, " joint"],
-    v: Float[Array, " joint"],
+    state: ArmState,
     h: Float[Array, ""],
     ahead: Float[Array, ""] | Float[Array, " joint"],
 ) -> Float[Array, " joint"]:
-    """Return dv with friction: a few times a damper that brakes as it would."""
+    """Return dv with friction: a few times a brake that acts as it would."""
     solve = lambda A, b: jax.scipy.linalg.cho_solve((jnp.linalg.cholesky(A), True), b)
     if robot.friction is None:
         return solve(A, push)
-    A = A + jnp.diag(ahead * robot.friction.viscous)
-    push = push - h * robot.friction.viscous * v
-    dv = jnp.zeros_like(v)
+    dv = jnp.zeros_like(state.v)
     for _ in range(_BRAKE_STEPS):
-        c = h * robot.friction.coulomb_damping(v + dv)
-        dv = solve(A + jnp.diag(c), push - c * v)
+        brake = robot.friction.brake(state.bristles, state.v, dv, h, ahead)
+        dv = solve(A + jnp.diag(brake.slope), push - brake.impulse)
     return dv
