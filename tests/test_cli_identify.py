@@ -910,7 +910,7 @@ def test_link_errors_are_written_as_a_calibration_of_the_robot(folder, run):
     wanted = np.asarray(pose(q))[:, :3, 3]
     # Where the instrument takes the base to stand is its start.
     at, wanted = at - at.mean(0), wanted - wanted.mean(0)
-    turn, _ = Rotation.align_vectors(at, wanted)
+    turn = Rotation.align_vectors(at, wanted)[0]
     apart = at - turn.apply(wanted)
     assert np.abs(apart).max() < 60e-6
 

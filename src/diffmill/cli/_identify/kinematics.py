@@ -279,17 +279,17 @@ def _toml(study: KinematicStudy, result: KinematicStudy.Fit) -> list[str]:
         "# better: none may be left out.",
         "[robot.calibration]",
     ]
-    units = {"displacement": ["m"], "rotation": ["rad"], "waves": ["rad"]}
-    units["joint_offsets"] = study.robot.joint_units
-    for field, own in units.items():
+    joints = study.robot.joint_units
+    for field in ("displacement", "rotation", "waves", "joint_offsets"):
         values = getattr(errors, field)
         if values is None:
             continue
+        units = {"displacement": ["m"] * len(values), "joint_offsets": joints}
         every = zip(
             study.robot.joint_names,
             np.asarray(values),
             np.asarray(getattr(sigma, field)),
-            own * len(values) if len(own) == 1 else own,
+            units.get(field, ["rad"] * len(values)),
             strict=True,
         )
         rows = [

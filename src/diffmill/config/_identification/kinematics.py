@@ -202,7 +202,8 @@ def _study(
     columns = _columns(reader, robot, table)
     _check_sizes(robot, columns, reader.faults)
     reader.check()
-    good = np.isfinite(np.hstack(list(columns.values()))).all(axis=1)
+    whole = np.hstack(list(columns.values()))
+    good = np.asarray(np.isfinite(whole).all(axis=1))
     if not good.all():
         lost = (np.flatnonzero(~good) + 1).tolist()
         shown = ", ".join(map(str, lost[:10])) + (", ..." if len(lost) > 10 else "")
@@ -219,7 +220,7 @@ def _study(
         return None
     kept = {name: values[good] for name, values in columns.items()}
     position, rotation = kept.get("position"), None
-    if "difference" in kept:
+    if position is not None and "difference" in kept:
         sign = 1.0 if table.difference == "actual - desired" else -1.0
         position = position + sign * kept["difference"]
     if "angles" in kept:

@@ -173,14 +173,16 @@ def _named(
     """
     # Moved by what they do: an unknown of a wide prior goes a small part of it.
     seen = np.where(effect > 0, effect, 1.0)
-    rows = (directions * seen[:, None]).T.copy()
-    for k in range(len(rows)):
-        # Gauss and Jordan with full pivots.
-        i, j = np.unravel_index(np.argmax(np.abs(rows[k:])), rows[k:].shape)
-        rows[[k, k + i]] = rows[[k + i, k]]
-        rows[k] /= rows[k, j]
-        others = np.arange(len(rows)) != k
-        rows[others] -= rows[others, j : j + 1] * rows[k : k + 1]
+    rows = (directions * seen[:, None]).T
+    # Pivots by the size of what is left of a column: whatever the basis is, and rounding
+    # apart, they are the same.
+    left, pivots = rows, []
+    for _ in rows:
+        size = np.linalg.norm(left, axis=0)
+        pivots.append(int(np.argmax(np.round(size / size.max(), 6))))
+        axis = left[:, pivots[-1]] / size[pivots[-1]]
+        left = left - axis[:, None] * (axis @ left)[None]
+    rows = np.linalg.solve(rows[:, pivots], rows) if pivots else rows
     names = [one.name for one in fit.model.parameters]
     found = []
     for row in rows:

@@ -92,7 +92,8 @@ class KinematicModel(eqx.Module):
         robot = errors.applied_to(self.robot)
         q = jax.vmap(robot.transmitted)(jnp.asarray(poses.q))
         q = q if poses.sag is None else q - poses.sag
-        return jax.vmap(lambda q: self.T_base @ forward_kinematics(robot, q))(q)
+        T_base = jnp.asarray(self.T_base)
+        return jax.vmap(lambda q: T_base @ forward_kinematics(robot, q))(q)
 
     def residual(
         self, x: Float[Array, " unknown"], poses: MeasuredPoses
@@ -112,11 +113,11 @@ class KinematicModel(eqx.Module):
             point = jnp.asarray(self.fixed_point)
             point = placed(self.parameters, x, "fixed_point", point)
             length = jnp.sqrt(jnp.sum((p - point[None]) ** 2, axis=1))
-            return (poses.distance - length)[:, None]
-        off = poses.position - p
+            return jnp.asarray(poses.distance - length)[:, None]
+        off = jnp.asarray(poses.position) - p
         if poses.rotation is None:
             return off
-        turn = poses.rotation @ jnp.swapaxes(Ts[:, :3, :3], 1, 2)
+        turn = jnp.asarray(poses.rotation) @ jnp.swapaxes(Ts[:, :3, :3], 1, 2)
         vector = [turn[:, 2, 1] - turn[:, 1, 2], turn[:, 0, 2] - turn[:, 2, 0]]
         vector += [turn[:, 1, 0] - turn[:, 0, 1]]
         return jnp.concatenate([off, 0.5 * jnp.stack(vector, axis=1)], axis=1)
