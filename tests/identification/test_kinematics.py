@@ -154,7 +154,7 @@ def truth_of(truth, fit):
 
 def test_intervals_hold_the_truth_as_often_as_they_say():
     inside, known = [], []
-    for seed in range(25):
+    for seed in range(16):
         draw = np.random.default_rng(seed)
         truth = Truth.drawn(draw)
         fit = study(truth.measured(poses_of(40, draw), draw)).fit()

@@ -174,8 +174,8 @@ def _named(
     # Moved by what they do: an unknown of a wide prior goes a small part of it.
     seen = np.where(effect > 0, effect, 1.0)
     rows = (directions * seen[:, None]).T
-    # Pivots by the size of what is left of a column: whatever the basis is, and rounding
-    # apart, they are the same.
+    # Pivots by the size of what is left of a column: they do not depend on the basis,
+    # nor on rounding.
     left, pivots = rows, []
     for _ in rows:
         size = np.linalg.norm(left, axis=0)
