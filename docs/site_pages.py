@@ -27,8 +27,8 @@ AREAS = (
 TABLES = (
     *("", "cutter", "spindle", "cut", "record", "means", "fit", "force", "stock"),
     *("program", "robot", "load_tests", "ring_down", "frequency_response", "coupled"),
-    *("air_path", "machine", "controller", "simulation", "correction", "output"),
-    *("truth", "sweep", "draw", "starts"),
+    *("air_path", "poses", "prior", "machine", "controller", "simulation"),
+    *("correction", "output", "truth", "sweep", "draw", "starts"),
 )
 
 
@@ -60,6 +60,7 @@ KINDS = {
     "Acceleration": Kind("acceleration above 0", "m/s^2"),
     "Angle": Kind("angle", "rad"),
     "Angles3": Kind("three angles", "rad"),
+    "PositiveAngle": Kind("angle above 0", "rad"),
     "Axes": Kind("three signed axes"),
     "AxesOrProposed": Kind('three signed axes or `"proposed"`'),
     "Channels": Kind('table of names, numbers or `"none"`'),
@@ -112,6 +113,9 @@ KINDS = {
     "dict[StrictStr, StrictStr]": Kind("table of units"),
     "dict[ToolNumber, Tolerance]": Kind("table of lengths of at least 0"),
     "list[Angle]": Kind("list of angles above 0"),
+    "list[Angles3]": Kind("three angles per joint"),
+    "list[Angles4]": Kind("four angles per joint"),
+    "list[Lengths3]": Kind("three lengths per joint"),
     "list[object]": Kind("list of values"),
     "list[Damping]": Kind("dampings of at least 0, one per joint"),
     "list[Factor]": Kind("list of numbers above 0"),

@@ -1,13 +1,17 @@
 """`diffmill identify`: what it prints, writes and refuses."""
 
+import dataclasses
 import json
 import math
 import tomllib
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.io
 import xarray
+from scipy.spatial.transform import Rotation
 from slides_job import JOB, with_machine, write_slides_job
 from slot_force import SPEED, K, mean_lines, slot_force
 from vibrations import receptance, ring_down
@@ -810,3 +814,121 @@ def test_two_forces_give_what_they_show(folder, run):
         if facts["identifiable"][name]:
             assert abs(facts["coefficients_SI"][name] / value - 1) < 0.03
     assert set(toml["force"]) == {"K_tc", "K_rc", "K_te", "K_re"}
+
+
+POSES = """kind = "kinematics"
+[robot]
+model = "reis_rv130_like"
+[poses]
+file = "poses.csv"
+difference = "actual - desired"
+noise = "15 um"
+folds = 3
+"""
+
+
+def write_poses(folder, head="x_mm,y_mm,z_mm,dx_um,dy_um,dz_um"):
+    """Write poses of a robot with errors; return its pose at any joint positions."""
+    draw = np.random.default_rng(3)
+    robot = rb.load("reis_rv130_like")
+    errors = dataclasses.replace(
+        rb.LinkErrors.none(robot),
+        displacement=jnp.asarray(1e-3 * draw.normal(size=(6, 3))),
+        rotation=jnp.asarray(1e-3 * draw.normal(size=(6, 3))),
+        joint_offsets=jnp.asarray(5e-3 * draw.normal(size=6)),
+        tool_position=jnp.array([0.1, 0.0, 0.05]),
+    )
+    pose = jax.jit(
+        jax.vmap(lambda q: rb.forward_kinematics(errors.applied_to(robot), q))
+    )
+    q = np.asarray(robot.home) + draw.uniform(-0.7, 0.7, (60, 6))
+    actual = pose(q)[:, :3, 3] + 15e-6 * draw.normal(size=(60, 3))
+    desired = actual - 1e-3 * draw.normal(size=(60, 3))
+    columns = 1e3 * desired, 1e6 * (actual - desired), np.rad2deg(q)
+    names = ",".join(f"axis_{k}_deg" for k in range(1, 7))
+    save(folder / "poses.csv", f"{head},{names}", *columns)
+    return pose
+
+
+def test_link_errors_are_written_as_a_calibration_of_the_robot(folder, run):
+    pose = write_poses(folder)
+    said = run("poses.toml", POSES)
+    assert "60 positions of the tool" in said
+    assert "no pose of this robot, tool and instrument tells:" in said
+    assert "poses that would help most:" in said
+    out, facts, toml = results(folder, "poses")
+    left_out = facts["left_out_m"]
+    assert left_out["before"]["mean"] > 1e-3 > 50e-6 > left_out["after"]["mean"]
+    assert facts["spread_SI"][0] == pytest.approx(15e-6, rel=0.3)
+    assert drawn(out) == {"left_out", "prediction", "correlation"}
+    # What was written, rounded, says where the tool is: but for the base, the tool.
+    table = toml["robot"]["calibration"]
+    assert table.keys() == {"displacement", "rotation", "joint_offsets"}
+    values = dict(zip(facts["parameters"], facts["values_SI"], strict=True))
+    placed = {
+        f"{what}_{kind}": jnp.array(
+            [values.get(f"{what} {word} {axis}", 0.0) for axis in "xyz"]
+        )
+        for what in ("base", "tool")
+        for kind, word in (("position", "along"), ("rotation", "about"))
+    }
+    robot = rb.load("reis_rv130_like")
+    read = lambda key, kind: jnp.array(
+        [[quantity(text, kind) for text in row] for row in table[key]]
+    )
+    offsets = [quantity(text, ANGLE) for text in table["joint_offsets"]]
+    errors = dataclasses.replace(
+        rb.LinkErrors.none(robot),
+        displacement=read("displacement", LENGTH),
+        rotation=read("rotation", ANGLE),
+        joint_offsets=jnp.array(offsets),
+        **placed,
+    )
+    found = errors.applied_to(robot)
+    q = np.asarray(robot.home) + np.random.default_rng(0).uniform(-0.5, 0.5, (20, 6))
+    at = np.asarray(jax.vmap(lambda q: rb.forward_kinematics(found, q))(q))[:, :3, 3]
+    wanted = np.asarray(pose(q))[:, :3, 3]
+    # Where the instrument takes the base to stand is its start.
+    at, wanted = at - at.mean(0), wanted - wanted.mean(0)
+    turn = Rotation.align_vectors(at, wanted)[0]
+    apart = at - turn.apply(wanted)
+    assert np.abs(apart).max() < 60e-6
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "parts"),
+    [
+        ('difference = "actual - desired"\n', "", ("dx, dy, dz", "not its sign")),
+        ("noise = ", "# noise = ", ("[poses] noise", "found nothing", "15 um")),
+        ('"15 um"', '"15 urad"', ("[poses] noise", "15 urad", "a length")),
+        ("folds = 3", "folds = 1", ("[poses] folds", "at least 2")),
+        ("folds = 3", "skip_rows = [61]", ("skip_rows", "61", "60 rows")),
+        ("folds = 3", 'measured = "distance"', ("fixed_point", "found nothing")),
+        ("folds = 3", 'fixed_point = ["1 m", "0 m", "0 m"]',
+         ("fixed_point", "found a point", '"position"')),
+        ("folds = 3", 'measured = "frame"', ("no column for roll, pitch, yaw",)),
+        ("folds = 3", 'channels = { dz = "none" }', ("no column for dz",)),
+        ("folds = 3", 'units = { joint = "rad" }', ("`joint`", "no robot has", "deg")),
+        ("folds = 3", 'units = { difference = "mm" }', ("`difference`", "no robot")),
+        ("folds = 3", '[prior]\ntool = "0 mm"', ("[prior] tool", "above 0")),
+        ("folds = 3", "[prior]\nlink = 1", ("[prior] link", "unknown key")),
+        ('"reis_rv130_like"', '"reis"', ("[robot] model", "reis")),
+    ],
+)  # fmt: skip
+def test_faults_of_measured_poses(folder, run, old, new, parts):
+    write_poses(folder)
+    assert old in POSES
+    said = flat(run("poses.toml", POSES.replace(old, new), command="check", code=2))
+    for part in parts:
+        assert part in said
+
+
+def test_poses_with_a_joint_reversed_are_doubted(folder, run):
+    write_poses(folder)
+    rows = np.loadtxt(folder / "poses.csv", delimiter=",", skiprows=1)
+    head = (folder / "poses.csv").read_text().split("\n")[0]
+    rows[:, 7] *= -1
+    save(folder / "poses.csv", head, rows)
+    said = flat(run("poses.toml", POSES))
+    assert "look at units, at the sign and zero of each joint" in said
+    assert results(folder, "poses")[2] == {}

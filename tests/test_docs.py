@@ -34,6 +34,9 @@ TABLES = {
     "loads.csv": ",".join(
         [*(f"axis_{k}_deg" for k in range(1, 7)), "Fx_N,Fy_N,Fz_N,dx_mm,dy_mm,dz_mm\n"]
     ) + "0,-90,90,0,60,0,100,0,0,0.1,0,0\n" * 12,
+    "poses.csv": ",".join(
+        [*(f"axis_{k}_deg" for k in range(1, 7)), "x_mm,y_mm,z_mm,dx_mm,dy_mm,dz_mm\n"]
+    ) + "0,-90,90,0,60,0,1500,0,900,0.1,0,0\n" * 12,
     "hit1.txt": "time_s,signal\n" + "".join(
         f"{k * 1e-3:.3f},{(-1) ** (k // 40)}\n" for k in range(500)
     ),

@@ -53,6 +53,15 @@ def rows(*shape, size=1.0):
     return jnp.asarray(size * np.sin(1.7 * count).reshape(shape))
 
 
+def displaced(robot, rows):
+    """Return a robot with errors of its joints, and with gears that turn unevenly."""
+    none = dr.LinkErrors.none(robot)
+    waves = 1e-3 * jnp.ones((3, 4))
+    return dataclasses.replace(
+        none, displacement=rows, rotation=rows, waves=waves
+    ).applied_to(robot)
+
+
 def as_arrays(tree):
     """Return a tree with its floats as arrays, which a trace then takes for its own."""
     is_number = lambda x: isinstance(x, float | np.ndarray)
@@ -481,6 +490,16 @@ CALLS: dict[str, Callable[[], Call]] = {
         lambda robot, K: dr.cartesian_compliance(robot.with_drives(stiffness=K), Q),
         arm(),
         (1e5 + rows(3),),
+    ),
+    "robot.Robot.transmitted": lambda: Call(
+        lambda robot, q: displaced(robot, rows(3, 3)).transmitted(q),
+        arm(),
+        (rows(3),),
+    ),
+    "robot.LinkErrors.applied_to": lambda: Call(
+        lambda robot, d: dr.forward_kinematics(displaced(robot, d), Q),
+        arm(),
+        (rows(3, 3),),
     ),
     "robot.Robot.with_tool": lambda: Call(
         lambda robot, T: dr.forward_kinematics(robot.with_tool(T), Q),
@@ -976,6 +995,8 @@ LEFT_OUT = {
         "robot.StiffnessMap.*",
         "robot.TipModes.of_robot",
         "robot.build",
+        "robot.LinkErrors.none",
+        "robot.LinkErrors.with_more_joints",
         "robot.rpy_*",
         "sim.MachiningProblem.of",
         "sim.MachiningProblem.padded",

@@ -521,3 +521,53 @@ def test_a_coupled_record_needs_a_job_with_a_robot(tmp_path):
     (tmp_path / "file.toml").write_text(text.replace(units, ""))
     with pytest.raises(JobError, match="Fx, Fy, Fz"):
         config.load_identification(tmp_path / "file.toml")
+
+
+POSES = """kind = "kinematics"
+[robot]
+file = "slides.toml"
+[poses]
+file = "poses.csv"
+noise = "20 um"
+"""
+
+
+def load_poses(folder, head, rows, more) -> Any:
+    lines = [",".join(map(str, row)) for row in rows]
+    (folder / "poses.csv").write_text("\n".join([head, *lines]) + "\n")
+    (folder / "slides.toml").write_text(SLIDES)
+    (folder / "poses.toml").write_text(POSES + more)
+    return config.load_identification(folder / "poses.toml")
+
+
+def test_frames_distances_and_differences_of_poses_are_read(tmp_path):
+    joints = [[90, 100], [-45, 250]]
+    tips = [[1, 2, 3], [4, 5, 6]]
+    angles = [[0, 0, 90], [90, 0, 0]]
+    rows = np.hstack([joints, tips, angles])
+    head = "turn_deg,slide_mm,x_mm,y_mm,z_mm,roll_deg,pitch_deg,yaw_deg"
+    study = load_poses(tmp_path, head, rows, 'measured = "frame"\n')
+    poses = study.poses
+    np.testing.assert_allclose(poses.q, [[np.pi / 2, 0.1], [-np.pi / 4, 0.25]])
+    np.testing.assert_allclose(poses.position, 1e-3 * np.array(tips))
+    np.testing.assert_allclose(
+        poses.rotation,
+        [[[0, -1, 0], [1, 0, 0], [0, 0, 1]], [[1, 0, 0], [0, 0, -1], [0, 1, 0]]],
+        atol=1e-15,
+    )
+    assert study.noise.length == pytest.approx(20e-6)
+    assert study.sizes.rotation == 5e-3
+    for sign, key in ((1, "actual - desired"), (-1, "desired - actual")):
+        head = "q1_deg,q2_mm,tcp_x_mm,tcp_y_mm,tcp_z_mm,dx_um,dy_um,dz_um"
+        more = f'difference = "{key}"\n'
+        found = load_poses(tmp_path, head, np.hstack([joints, tips, tips]), more)
+        wanted = (1e-3 + sign * 1e-6) * np.array(tips)
+        np.testing.assert_allclose(found.poses.position, wanted, rtol=1e-12)
+    more = 'measured = "distance"\nfixed_point = ["1 m", "0 m", "20 mm"]\n'
+    more += '[prior]\nslide_offset = "3 mm"\n'
+    rows = [[90, 100, 400], [-45, "", 300]]
+    bar = load_poses(tmp_path, "turn_deg,slide_mm,length_mm", rows, more)
+    np.testing.assert_allclose(bar.poses.distance, [0.4])
+    np.testing.assert_allclose(bar.fixed_point, [1, 0, 0.02])
+    assert bar.rows == (1,) and bar.sizes.slide_offset == pytest.approx(3e-3)
+    assert any("Rows 2 have empty cells" in note for note in bar.notes)

@@ -21,8 +21,8 @@ def load_identification(
 
     Args:
         file: The file, with `kind = "mean_forces"`, "force_records", "load_tests",
-            "ring_down", "frequency_response", "coupled" or "controller"; or a job,
-            if `forces` is given.
+            "ring_down", "frequency_response", "coupled", "controller" or
+            "kinematics"; or a job, if `forces` is given.
         forces: A record of forces of the job, wherever it lies.
         allow_outside: Whether the file may name files outside its own folder.
 

@@ -3,12 +3,13 @@
 What it models: a record of three forces over time with what is doubtful in it marked
 sample by sample; the removal of offset and drift; the cuts in it; its alignment with
 the spindle; the ways in which a dynamometer can be mounted. Cutting coefficients from
-mean forces and from whole records, joint stiffness from load tests, modes and damping
-from a ring-down or a frequency response, or all of them at once from one record of a
-robot that cuts, each with standard errors and the parameters that the data do not
-identify. Assumptions: forces are calibrated; the record was sampled at one rate, except
-for gaps; the amplifier drifts along a straight line between two tare sections. Left
-out: the dynamometer's own dynamics. Files are read by `diffmill.io.load_record`.
+mean forces and from whole records, joint stiffness from load tests, link errors from
+measured poses, modes and damping from a ring-down or a frequency response, or all but
+link errors at once from one record of a robot that cuts, each with standard errors and
+the parameters that the data do not identify. Assumptions: forces are calibrated; the
+record was sampled at one rate, except for gaps; the amplifier drifts along a straight
+line between two tare sections. Left out: the dynamometer's own dynamics. Files are read
+by `diffmill.io.load_record`.
 Nothing is changed in place: functions return new records or proposals.
 """
 
@@ -50,7 +51,6 @@ from ._record.saturation import find_saturated as find_saturated
 from ._record.spindle_harmonics import refine_spindle_speed as refine_spindle_speed
 from ._stiffness.experiment_design import suggest_load_tests as suggest_load_tests
 from ._stiffness.joint_stiffness import (
-    deflection_columns as deflection_columns,
     fit_joint_stiffness as fit_joint_stiffness,
 )
 from ._study.controller import (
@@ -60,6 +60,7 @@ from ._study.coupled import CoupledStudy as CoupledStudy
 from ._study.force_records import (
     ForceRecordStudy as ForceRecordStudy,
 )
+from ._study.kinematics import KinematicStudy as KinematicStudy
 from ._study.load_tests import (
     LoadTestStudy as LoadTestStudy,
 )

@@ -92,6 +92,7 @@ from ._model.elements import (
 from ._model.flange_spring import (
     FlangeSpring as FlangeSpring,
 )
+from ._model.link_errors import LinkErrors as LinkErrors
 from ._model.robot import (
     Robot as Robot,
 )

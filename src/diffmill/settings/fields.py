@@ -55,6 +55,9 @@ Angle: TypeAlias = Annotated[float, BeforeValidator(_read(q.ANGLE))]
 TurnTolerance: TypeAlias = Annotated[
     float, BeforeValidator(_read(q.ANGLE, sign="not negative"))
 ]
+PositiveAngle: TypeAlias = Annotated[
+    float, BeforeValidator(_read(q.ANGLE, sign="positive"))
+]
 PositiveTime: TypeAlias = Annotated[
     float, BeforeValidator(_read(q.TIME, sign="positive"))
 ]
@@ -98,6 +101,7 @@ Density: TypeAlias = Annotated[
 ]
 Lengths3: TypeAlias = Annotated[list[Length], Field(min_length=3, max_length=3)]
 Angles3: TypeAlias = Annotated[list[Angle], Field(min_length=3, max_length=3)]
+Angles4: TypeAlias = Annotated[list[Angle], Field(min_length=4, max_length=4)]
 # As many as a run that finds its own number goes up to.
 Slots: TypeAlias = Annotated[StrictInt, Field(ge=1, le=128)]
 

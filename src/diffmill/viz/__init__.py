@@ -35,6 +35,7 @@ from ._figure.identified_robot import (
     plot_frequency_response as plot_frequency_response,
     plot_joint_values as plot_joint_values,
     plot_load_residual as plot_load_residual,
+    plot_pose_errors as plot_pose_errors,
     plot_ring_down as plot_ring_down,
 )
 from ._figure.paths import plot_paths as plot_paths

@@ -1,14 +1,18 @@
 """The robot of a job: loaded, and fitted with drives and a tool."""
 
+import dataclasses
+import math
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from ... import units as q
 from ...cutter import AbstractCutter
-from ...robot import Robot, built_in_models, rpy_matrix
+from ...robot import LinkErrors, Robot, built_in_models, rpy_matrix
 from ...settings.tables import TomlTable
+from .._schema.calibration import CalibrationTable
 from .._schema.compliance import with_bending_cutter, with_spring
 from .._schema.job import PoseTable, RobotTable
 from .context import FileContext
@@ -20,6 +24,7 @@ _DRIVE_KINDS = {
     "joint_stiffness": (q.ROTARY_STIFFNESS, q.LINEAR_STIFFNESS),
     "joint_damping": (q.ROTARY_DAMPING, q.LINEAR_DAMPING),
     "joint_start": (q.ANGLE, q.LENGTH),
+    "joint_offsets": (q.ANGLE, q.LENGTH),
 }
 
 
@@ -40,11 +45,14 @@ class FittedRobot(NamedTuple):
         joint_start: Joint positions to start from [rad or m], shape (joint,); None for
             the robot's home.
         T_flange_tool: Pose of the tool in the flange, shape (4, 4).
+        nominal: The robot as its controller knows it, without the errors of its
+            `[robot.calibration]`; None if it has none.
     """
 
     robot: Robot | None = None
     joint_start: Float[np.ndarray, " joint"] | None = None
     T_flange_tool: Float[np.ndarray, "4 4"] | None = None
+    nominal: Robot | None = None
 
 
 def read_robot(
@@ -104,6 +112,7 @@ def read_robot(
         context.notes.extend(_tool_notes(T_flange_tool))
         robot = robot.with_tool(T_flange_tool)
     T_flange_tool = np.asarray(robot.T_flange_tool, np.float64)
+    errors = _link_errors(table.calibration, robot, problems)
     robot = with_spring(robot, table.flange_spring, problems)
     robot = with_bending_cutter(robot, table.bending_tool, cutter)
     if table.flange_spring is not None:
@@ -113,7 +122,55 @@ def read_robot(
         context.notes.extend(table.bending_tool.notes(diameter))
     if start is not None:
         start = np.pad(start, (0, robot.joint_count - len(start)))
-    return FittedRobot(robot, start, T_flange_tool)
+    if errors is None:
+        return FittedRobot(robot, start, T_flange_tool)
+    calibrated = errors.with_more_joints(robot).applied_to(robot)
+    return FittedRobot(calibrated, start, T_flange_tool, nominal=robot)
+
+
+def _link_errors(
+    table: CalibrationTable | None, robot: Robot, problems: list[str]
+) -> LinkErrors | None:
+    """Geometric errors of a robot; None without a table or after a fault."""
+    if table is None:
+        return None
+    place = "[robot.calibration]"
+    names, before = robot.joint_names, len(problems)
+    for key in ("displacement", "rotation", "waves"):
+        rows = getattr(table, key)
+        if rows is not None and len(rows) != len(names):
+            problems.append(
+                f"{place} {key}: found {len(rows)} rows, but one per joint is "
+                f"required: {', '.join(names)}"
+            )
+    if table.wave_period is not None and table.waves is None:
+        problems.append(f"{place} wave_period: found without waves, whose period it is")
+    for joint, kind in enumerate(robot.joint_kinds):
+        if kind == "prismatic" and table.waves is not None and before == len(problems):
+            if any(table.waves[joint]):
+                problems.append(
+                    f"{place} waves.{joint} ({names[joint]}): found waves, but a slide "
+                    "has none: 0 is required"
+                )
+    offsets = per_joint(table, "joint_offsets", robot, problems, place=place)
+    if len(problems) > before:
+        return None
+    stated = {
+        "displacement": table.displacement,
+        "rotation": table.rotation,
+        "joint_offsets": offsets,
+        "tool_position": table.tool,
+        "waves": table.waves,
+    }
+    return dataclasses.replace(
+        LinkErrors.none(robot),
+        waves_per_turn=2 * math.pi / (table.wave_period or 2 * math.pi),
+        **{
+            name: jnp.asarray(value, robot.dtype)
+            for name, value in stated.items()
+            if value is not None
+        },
+    )
 
 
 def _drive_notes(
@@ -147,15 +204,21 @@ def _tool_notes(T_flange_tool: Float[np.ndarray, "4 4"]) -> list[str]:
 
 
 def per_joint(
-    table: TomlTable, key: str, robot: Robot, problems: list[str]
+    table: TomlTable,
+    key: str,
+    robot: Robot,
+    problems: list[str],
+    *,
+    place: str = "[robot]",
 ) -> Float[np.ndarray, " joint"] | None:
     """Quantities of the joints in SI, shape (joint,); None if absent or faulty.
 
     Args:
-        table: `[robot]` of a job or of a measurement.
+        table: `[robot]` of a job or of a measurement, or a table within it.
         key: Its key, with a text per joint.
         robot: The robot.
         problems: Receives the faults.
+        place: What a line calls the table.
     """
     texts = getattr(table, key)
     if texts is None:
@@ -163,7 +226,7 @@ def per_joint(
     names = robot.joint_names
     if len(texts) != len(names):
         problems.append(
-            f"[robot] {key}: found {len(texts)} values, but one per joint is required: "
+            f"{place} {key}: found {len(texts)} values, but one per joint is required: "
             f"{', '.join(names)}"
         )
         return None
@@ -175,6 +238,6 @@ def per_joint(
         try:
             values[i] = q.quantity(text, kind)
         except ValueError as error:
-            problems.append(f"[robot] {key}.{i} ({names[i]}): {error}")
+            problems.append(f"{place} {key}.{i} ({names[i]}): {error}")
             is_good = False
     return values if is_good else None

@@ -32,6 +32,7 @@ _OFFSET = _Range("2 um", "20 mm", q.LENGTH)
 _ERROR = _Range("0.01 um", "2 mm", q.LENGTH)
 _SLOPE = _Range("0.01 deg", "65 deg", q.ANGLE)
 _TURN = _Range("0 deg", "360 deg", q.ANGLE)
+_WARP = _Range("0 deg", "3 deg", q.ANGLE)
 _LINEAR = _Range("10 N/mm", "20000 N/um", q.LINEAR_STIFFNESS)
 _ROTARY = _Range("100 N*m/rad", "1e9 N*m/rad", q.ROTARY_STIFFNESS)
 _DAMPING = _Range("1 N*s/m", "1e7 N*s/m", q.LINEAR_DAMPING)
@@ -76,6 +77,12 @@ _USUAL: dict[str, tuple[_Range, ...]] = {
     "robot.work_in_base.rpy": (_TURN,),
     "robot.tool_in_flange.position": (_REACH,),
     "robot.tool_in_flange.rpy": (_TURN,),
+    "robot.calibration.displacement": (_Range("0 m", "20 mm", q.LENGTH),),
+    "robot.calibration.rotation": (_WARP,),
+    "robot.calibration.joint_offsets": (_WARP, _Range("0 m", "50 mm", q.LENGTH)),
+    "robot.calibration.waves": (_Range("0 rad", "5 mrad", q.ANGLE),),
+    "robot.calibration.wave_period": (_Range("0.5 deg", "360 deg", q.ANGLE),),
+    "robot.calibration.tool": (_REACH,),
     "robot.flange_spring.linear_stiffness": (
         _Range("1 N/um", "20000 N/um", q.LINEAR_STIFFNESS),
     ),

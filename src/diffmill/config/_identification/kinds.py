@@ -5,6 +5,7 @@ from . import (
     coupled,
     force_records,
     frequency_response,
+    kinematics,
     load_tests,
     mean_forces,
     ring_down,
@@ -20,5 +21,6 @@ KINDS = {
         frequency_response.KIND,
         coupled.KIND,
         controller.KIND,
+        kinematics.KIND,
     )
 }

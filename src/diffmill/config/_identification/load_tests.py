@@ -2,7 +2,6 @@
 
 import dataclasses
 import functools
-import re
 from typing import Annotated, Literal
 
 import jax
@@ -16,12 +15,17 @@ from ...robot import Robot, forward_kinematics
 from .context import Context
 from .fields import Axes, File
 from .kind import IdentificationKind
-from .robot import StudiedRobotTable, read_tool_robot
+from .robot import (
+    LARGEST_ANGLE,
+    StudiedRobotTable,
+    joint_quantities,
+    read_tool_robot,
+)
 from .schema import MeasuredTable
 
-# No joint turns so far [rad], and no load bends a robot so far [m]; hardly one a fifth
-# of that, where the user has not confirmed the unit.
-_LARGEST_ANGLE, _LARGEST_MOVE, _USUAL_MOVE = 4 * np.pi, 0.1, 0.02
+# No load bends a robot so far [m]; hardly one a fifth of that, where the user has not
+# confirmed the unit.
+_LARGEST_MOVE, _USUAL_MOVE = 0.1, 0.02
 
 
 class LoadTestsTable(MeasuredTable):
@@ -185,17 +189,8 @@ def _columns(reader: TableReader, robot: Robot) -> dict[str, np.ndarray]:
 
 def _groups(robot: Robot) -> dict[str, tuple[Quantity, ...]]:
     """Columns of a table by what they measure."""
-    joints = zip(robot.joint_names, robot.joint_kinds, strict=True)
     return {
-        "joint": tuple(
-            Quantity(
-                name,
-                rf"{re.escape(name)}|(q|j|a|theta|axis|joint|achse)[\s_.\-]*{i}",
-                (q.LENGTH,) if kind == "prismatic" else (q.ANGLE,),
-                ("joint",),
-            )
-            for i, (name, kind) in enumerate(joints, 1)
-        ),
+        "joint": joint_quantities(robot),
         "force": Quantity.vector("F", "f|force|kraft", q.FORCE, "force"),
         "moment": Quantity.vector("M", "m|t|moment|torque", q.MOMENT, "moment"),
         "displacement": Quantity.vector(
@@ -225,7 +220,7 @@ def _check_sizes(
     usual_move = float(np.median(lengths)) if lengths.size else 0.0
     most = _LARGEST_MOVE if "displacement" in table.units else _USUAL_MOVE
     for what, size, limit, unit, wrong in (
-        ("joint", angle, _LARGEST_ANGLE, "rad", "deg"),
+        ("joint", angle, LARGEST_ANGLE, "rad", "deg"),
         ("displacement", usual_move, most, "m", "mm"),
     ):
         if size > limit:

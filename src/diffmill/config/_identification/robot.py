@@ -1,7 +1,12 @@
 """The robot of a measurement."""
 
+import math
+import re
+
 from pydantic import Field, StrictStr
 
+from ... import units as q
+from ...io import Quantity
 from ...robot import Robot
 from ...settings.fields import Damping, Stiffness
 from ...settings.tables import TomlTable
@@ -10,6 +15,9 @@ from .._build.robot_file import load_robot
 from .._schema.job import PoseTable, RobotTable
 from .context import Context
 from .fields import File
+
+# No joint turns so far [rad].
+LARGEST_ANGLE = 4 * math.pi
 
 
 class StudiedRobotTable(TomlTable):
@@ -85,3 +93,21 @@ def read_tool_robot(
     if table.tool_in_flange is not None:
         robot = robot.with_tool(pose_matrix(table.tool_in_flange))
     return robot
+
+
+def joint_quantities(robot: Robot) -> tuple[Quantity, ...]:
+    """Columns of the joint positions of a table, one per joint.
+
+    Args:
+        robot: The robot.
+    """
+    joints = zip(robot.joint_names, robot.joint_kinds, strict=True)
+    return tuple(
+        Quantity(
+            name,
+            rf"{re.escape(name)}|(q|j|a|theta|axis|joint|achse)[\s_.\-]*{i}",
+            (q.LENGTH,) if kind == "prismatic" else (q.ANGLE,),
+            ("joint",),
+        )
+        for i, (name, kind) in enumerate(joints, 1)
+    )

@@ -20,7 +20,7 @@ class MeasuredTable(TomlTable):
     """Keys of a table that names a file of measurements.
 
     They stand in `[[record]]`, `[means]`, `[load_tests]`, `[[ring_down]]`,
-    `[[frequency_response]]` and `[coupled]`.
+    `[[frequency_response]]`, `[coupled]` and `[poses]`.
     """
 
     file: File | None = Field(

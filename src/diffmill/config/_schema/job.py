@@ -30,6 +30,7 @@ from ...settings.output import OutputSettings
 from ...settings.simulation import SimulationSettings
 from ...settings.tables import TomlTable, meant_by, read_settings, validated
 from ...settings.truth import TruthSettings
+from .calibration import CalibrationTable
 from .compliance import BendingToolTable, FlangeSpringTable
 from .controller import ControllerTable, read_controller
 from .cutter import CutterTable
@@ -250,6 +251,10 @@ class RobotTable(TomlTable):
     )
     bending_tool: BendingToolTable | None = Field(
         default=None, description="the cutter as a cantilever; rigid if left out"
+    )
+    calibration: CalibrationTable | None = Field(
+        default=None,
+        description="geometric errors of this robot; none if left out",
     )
 
 

@@ -2,8 +2,8 @@
 
 Backlash: the gear carries nothing within a gap. Friction: of the joint, on its own side
 of the gear; it creeps, or sticks on bristles. Motors: a mass behind the gear that a
-servo holds, instead of one that stands at its command. An option that is None is absent
-from the compiled program.
+servo holds, instead of one that stands at its command. Gear waves: a gear that does not
+turn evenly. An option that is None is absent from the compiled program.
 """
 
 import math
@@ -230,6 +230,26 @@ class Motors(eqx.Module):
     inertia: Float[Array, " joint"]
     stiffness: Float[Array, " joint"]
     damping: Float[Array, " joint"]
+
+
+class GearWaves(eqx.Module):
+    """Transmission errors that repeat as a joint turns; see `LinkErrors`.
+
+        w(q) = s_1 sin k q + c_1 cos k q + s_2 sin 2 k q + c_2 cos 2 k q
+
+    Attributes:
+        amplitudes: s_1, c_1, s_2, c_2 [rad], shape (joint, 4).
+        per_turn: k, the waves of a turn of the joint [-], shape ().
+    """
+
+    amplitudes: Float[Array, "joint 4"]
+    per_turn: Float[Array, ""]
+
+    def error(self, motor: Float[Array, " joint"]) -> Float[Array, " joint"]:
+        """Error w of the joint behind a motor position [rad], shape (joint,)."""
+        angle = self.per_turn * motor
+        waves = [jnp.sin(angle), jnp.cos(angle), jnp.sin(2 * angle), jnp.cos(2 * angle)]
+        return jnp.sum(self.amplitudes * jnp.stack(waves, axis=-1), axis=-1)
 
 
 class GearTorque(eqx.Module):

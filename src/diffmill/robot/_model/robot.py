@@ -12,7 +12,7 @@ from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float
 
 from ..._types import RealScalarLike, Transform
-from .drives import Backlash, Friction, GearTorque, Motors
+from .drives import Backlash, Friction, GearTorque, GearWaves, Motors
 
 # Joint positions, velocities or torques as a user may pass them.
 JointVector: TypeAlias = (
@@ -61,6 +61,7 @@ class Robot(eqx.Module):
             infinite where it is not known, None for all of them.
         fast_joints: Indices of joints whose own mode is far too fast for the steps of
             a simulation; an implicit integrator lets it die out instead of ringing.
+        gear_waves: Transmission errors of the gears, or None; see `transmitted`.
     """
 
     placement_rotations: Float[Array, "body 3 3"]
@@ -88,6 +89,7 @@ class Robot(eqx.Module):
     motors: Motors | None = None
     joint_speed: Float[Array, " joint"] | None = None
     fast_joints: tuple[int, ...] = eqx.field(static=True, default=())
+    gear_waves: GearWaves | None = None
 
     @property
     def joint_count(self) -> int:
@@ -364,6 +366,20 @@ class Robot(eqx.Module):
             return GearTorque(K * stretch + D * rate, K, D)
         s, slope = self.backlash.dead_zone(stretch)
         return GearTorque(K * s + D * slope * rate, K * slope, D * slope)
+
+    def transmitted(self, motor: Float[Array, " joint"]) -> Float[Array, " joint"]:
+        """Position theta + w(theta) of the gears' output behind motors without load.
+
+        Args:
+            motor: theta as the motors' encoders count it [rad or m], shape (joint,).
+
+        Returns:
+            Where the gears hold the joints [rad or m], shape (joint,); kinematics and
+            springs are those of these.
+        """
+        if self.gear_waves is None:
+            return motor
+        return motor + self.gear_waves.error(motor)
 
     def drive_deflection(
         self, torque: Float[Array, " joint"]

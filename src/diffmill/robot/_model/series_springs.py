@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from ..._types import RealScalarLike
 from .._algebra.spatial import apply_matrix, matrix_product
-from .drives import Backlash, Friction, Motors
+from .drives import Backlash, Friction, GearWaves, Motors
 from .robot import Robot
 
 
@@ -145,4 +145,13 @@ def _plain_drives(robot: Robot, count: int) -> dict[str, eqx.Module | None]:
             extend(motors.stiffness, 1.0),
             extend(motors.damping, 0.0),
         )
-    return {"backlash": gaps, "friction": friction, "motors": motors}
+    waves = robot.gear_waves
+    if waves is not None:
+        none = jnp.zeros((count, 4), waves.amplitudes.dtype)
+        waves = GearWaves(jnp.concatenate([waves.amplitudes, none]), waves.per_turn)
+    return {
+        "backlash": gaps,
+        "friction": friction,
+        "motors": motors,
+        "gear_waves": waves,
+    }

@@ -1,6 +1,6 @@
-"""Figures of identified joint springs and of modes."""
+"""Figures of identified joint springs, link errors and modes."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -116,6 +116,31 @@ def plot_load_residual(
     step = max(1, len(rows) // 30)
     axes.set_xticks(place[::step], [str(row) for row in rows][::step])
     quiet_axes(axes, x="row of the table", y="displacement [\u00b5m]")
+    legend_above(figure, axes)
+    return figure
+
+
+def plot_pose_errors(
+    lengths: Mapping[str, Float[np.ndarray, " pose"]], *, title: str = ""
+) -> "matplotlib.figure.Figure":
+    """Draw the share of poses whose error is below each length.
+
+    Args:
+        lengths: Errors of the poses [m], shape (pose,), by what is left of them.
+        title: Title of the figure.
+
+    Returns:
+        The figure.
+    """
+    figure = new_figure(2.8)
+    axes = figure.subplots()
+    colours = (MEASURED, FITTED, MISFIT)
+    for (name, errors), colour in zip(lengths.items(), colours, strict=False):
+        share = 100 * np.arange(1, len(errors) + 1) / len(errors)
+        axes.plot(1e6 * np.sort(errors), share, color=colour, lw=1.4, label=name)
+    axes.set_xscale("log")
+    axes.set_ylim(0, 100)
+    quiet_axes(axes, x="error [\u00b5m]", y="poses [%]", title=title)
     legend_above(figure, axes)
     return figure
 

@@ -1,0 +1,1 @@
+"""Link errors of a robot from poses measured under a tracker."""
