@@ -27,8 +27,9 @@ AREAS = (
 TABLES = (
     *("", "cutter", "spindle", "cut", "record", "means", "fit", "force", "stock"),
     *("program", "robot", "load_tests", "ring_down", "frequency_response", "coupled"),
-    *("air_path", "poses", "prior", "machine", "controller", "simulation"),
-    *("correction", "output", "truth", "sweep", "draw", "starts"),
+    *("air_path", "poses", "prior", "machine", "controller"),
+    *("registration", "simulation", "correction", "output", "truth"),
+    *("sweep", "draw", "starts"),
 )
 
 

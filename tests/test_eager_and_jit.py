@@ -989,6 +989,8 @@ LEFT_OUT = {
         "process.default_element_height",
         "process.Immersion.*",
         "robot.NominalRobot.motor_places",
+        "robot.NominalRobot.probe_errors",
+        "robot.points_fix_a_frame",
         "robot.Robot.ancestry",
         "robot.Robot.light_joints",
         "robot.Robot.*_mask",

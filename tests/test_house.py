@@ -236,7 +236,7 @@ def test_experiments_and_tests_use_what_is_public():
 # Words of a dialect; those of the field are in docs/glossary.md.
 DIALECT = re.compile(
     r"\b(gives? way|fore(tells?|told)|swings? round|cannot tell|hopeless|meeting"
-    r"|(beside|meets?) (its|their|the) cuts?|held_rows?|limited_?quadratic|posterior"
+    r"|(beside|meets?) (its|their|the) cuts?|held_rows?|limited_?quadratic"
     r"|(come|comes|came) to rest|lanes|sloped|tied|kkt|take_spent|begin_period"
     r"|remove_due|across_gap|static_stretch|gravity_lift)\b",
     re.IGNORECASE,

@@ -16,6 +16,7 @@ from ..settings.correction import CorrectionSettings
 from ..settings.output import OutputSettings
 from ..settings.simulation import SimulationSettings
 from ..settings.tables import idle_keys
+from ..sim import mismatched
 from ..toolpath import Path, Program, TimedProgram
 from ._build.context import FileContext
 from ._build.correction import completed_correction
@@ -36,6 +37,7 @@ from ._build.robot import pose_matrix, read_robot
 from ._build.simulation import completed_simulation
 from ._build.stock import read_stock
 from ._changes import changed, changes_text
+from ._check.calibration import calibration_note
 from ._check.end_force import end_notes
 from ._check.frames import base_note, program_base, tool_note
 from ._check.modes import (
@@ -151,7 +153,7 @@ def _read_parts(
 ) -> JobParts:
     """Parts that checked tables state, with the path and the robot along it."""
     problems = context.problems
-    program, speed, cutter, holder, stock, robot, start = (None,) * 7
+    program, speed, cutter, holder, stock, robot, start, known = (None,) * 8
     if tables.program is not None:
         program = read_program(tables.program, context)
     if tables.spindle is not None:
@@ -170,7 +172,7 @@ def _read_parts(
     if tables.robot is not None:
         table = tables.robot
         fitted = read_robot(table, cutter, context, is_placed=is_placed)
-        robot, start = fitted.robot, fitted.joint_start
+        robot, start, known = fitted.robot, fitted.joint_start, fitted.nominal
         if robot is not None:
             T_base_work = stated if work is None and stated is not None else T_base_work
             found = base_note(T_base_work, program, is_stated=work is not None)
@@ -186,6 +188,7 @@ def _read_parts(
     parts = JobParts(
         program, speed, cutter, holder, stock, robot, T_base_work, start, None
     )
+    parts = parts._replace(nominal=known)
     controller = _controller(tables, robot, problems)
     if cutter is not None and speed is not None:
         parts = _timed(tables, parts._replace(controller=controller), problems)
@@ -437,7 +440,17 @@ def _assemble(
         truth=tables.truth,
     )
     more = end_notes(job, parts.joints)
+    if parts.nominal is not None:
+        model = dataclasses.replace(job, robot=parts.nominal)
+        job = mismatched(model, job, probes=_probes(tables))
+        more = [*more, calibration_note(job)]
     return dataclasses.replace(job, notes=(*job.notes, *more))
+
+
+def _probes(tables: JobTables) -> Float[np.ndarray, "probe 3"] | None:
+    """Points of the work that are touched off, if the job states them [m]."""
+    table = tables.registration
+    return None if table is None or table.points is None else np.array(table.points)
 
 
 def _completed_output(

@@ -36,7 +36,7 @@ class LearnedMachine(eqx.Module):
 
     Attributes:
         job: The job with the machine as it was learnt, and what no parameter explains
-            as the disturbance of its path: `simulate` foretells the next part with it,
+            as the disturbance of its path: `simulate` predicts the next part with it,
             `correct` corrects its program.
         parameters: In units of their priors, shape (parameter,).
         covariance: Of these, shape (parameter, parameter).

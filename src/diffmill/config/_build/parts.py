@@ -33,6 +33,7 @@ class JobParts(NamedTuple):
             path.
         commanded: Tips that the controller is told instead of the path's, if any.
         joints: Joints of the robot along the path [rad or m], if they are known.
+        nominal: The robot as its controller knows it; None if that is `robot`.
     """
 
     program: Program | Path | None
@@ -50,6 +51,7 @@ class JobParts(NamedTuple):
     timed: TimedProgram | None = None
     commanded: FloatRows3 | None = None
     joints: Float[np.ndarray, "step joint"] | None = None
+    nominal: Robot | None = None
 
     @property
     def tooth_period(self) -> float:

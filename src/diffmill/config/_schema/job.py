@@ -8,8 +8,10 @@ import dataclasses
 from collections.abc import Callable, Mapping
 from typing import Annotated, Literal, TypeAlias, TypeVar
 
-from pydantic import Field, StrictBool, StrictInt, StrictStr
+import numpy as np
+from pydantic import AfterValidator, Field, StrictBool, StrictInt, StrictStr
 
+from ...robot import points_fix_a_frame
 from ...settings.base import Settings
 from ...settings.correction import CorrectionSettings
 from ...settings.fields import (
@@ -186,6 +188,26 @@ class PoseTable(TomlTable):
     )
 
 
+def _spread(points: list[list[float]]) -> list[list[float]]:
+    """Points that fix a frame."""
+    if not points_fix_a_frame(np.array(points)):
+        raise ValueError("found points on a line, but others are required")
+    return points
+
+
+class RegistrationTable(TomlTable):
+    """`[registration]`."""
+
+    points: (
+        Annotated[list[Lengths3], Field(min_length=3), AfterValidator(_spread)] | None
+    ) = Field(
+        default=None,
+        description="points of the work that are touched off on a machine that its "
+        "controller does not know, three or more that are not on a line, such as "
+        '[["0 mm", "0 mm", "0 mm"], ...]; 40 rows of the path if left out',
+    )
+
+
 class RobotTable(TomlTable):
     """`[robot]`."""
 
@@ -259,7 +281,10 @@ class RobotTable(TomlTable):
 
 
 OPTIONAL_TABLES = frozenset(
-    {"spindle", "controller", "simulation", "correction", "output", "truth"}
+    {
+        *("spindle", "controller", "registration", "simulation", "correction"),
+        *("output", "truth"),
+    }
 )
 
 
@@ -279,6 +304,7 @@ class JobTables:
         robot: `[robot]`; None beside a machine of modes.
         machine: `[machine]`; None beside a robot.
         controller: `[controller]`.
+        registration: `[registration]`.
         simulation: `[simulation]`.
         correction: `[correction]`.
         output: `[output]`.
@@ -294,6 +320,7 @@ class JobTables:
     robot: RobotTable | None
     machine: MachineTable | None
     controller: ControllerTable | None
+    registration: RegistrationTable | None
     simulation: SimulationSettings | None
     correction: CorrectionSettings | None
     output: OutputSettings | None
@@ -356,6 +383,7 @@ def read_tables(raw: Mapping[str, object], problems: list[str]) -> JobTables:
         robot=table("robot", RobotTable),
         machine=table("machine", MachineTable),
         controller=read("controller", read_controller),
+        registration=table("registration", RegistrationTable),
         simulation=settings(SimulationSettings),
         correction=settings(CorrectionSettings),
         output=settings(OutputSettings),

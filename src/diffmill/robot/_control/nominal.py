@@ -8,14 +8,28 @@ from jaxtyping import Array, Float
 
 from ..._types import Transform
 from .._algebra.rotations import rotation_matrix
-from .._elasticity.static_balance import loaded_equilibrium
+from .._dynamics.rnea import gravity_forces
 from .._kinematics.forward import forward_kinematics
 from .._model.robot import Robot
 
 # Steps of the rigid fit, each of which leaves the cube of a small rotation's error.
 _FIT_STEPS = 3
+# Passes in which joints settle on their springs.
+_BALANCE_STEPS = 6
 # Share of their extent by which probed points must lie beside a line.
 _LEAST_WIDTH = 1e-3
+
+
+def points_fix_a_frame(points: Float[np.ndarray, "point 3"]) -> bool:
+    """True for three points or more that are not on a line.
+
+    Args:
+        points: The points [m], shape (point, 3).
+
+    **Differentiability**: none, a host function.
+    """
+    width = np.linalg.svd(points - points.mean(axis=0))[1]
+    return len(width) > 1 and bool(width[1] > _LEAST_WIDTH * width[0])
 
 
 class NominalRobot(eqx.Module):
@@ -41,11 +55,10 @@ class NominalRobot(eqx.Module):
         if isinstance(self.probes, jax.core.Tracer):
             return
         points = np.asarray(self.probes)
-        width = np.linalg.svd(points - points.mean(axis=0))[1]
-        if len(width) < 2 or not width[1] > _LEAST_WIDTH * width[0]:
+        if not points_fix_a_frame(points):
             raise ValueError(
                 "Argument `probes` must have three points or more that are not on a "
-                f"line, but has {np.asarray(self.probes).tolist()}."
+                f"line, but has {points.tolist()}."
             )
 
     def motor_places(self, machine: Robot) -> tuple[int, ...]:
@@ -81,9 +94,29 @@ class NominalRobot(eqx.Module):
         Returns:
             The frame, shape (4, 4).
 
-        **Differentiability**: smooth in the machine, as `loaded_equilibrium`.
+        **Differentiability**: smooth in the machine, but for gears that carry nothing.
         """
+        found = self._found(machine)
+        return _rigid_fit(self.T_base_work, jnp.asarray(self.probes), found)
+
+    def probe_errors(self, machine: Robot) -> Float[Array, " probe"]:
+        """Distances of the probed points from the frame that fits them [m].
+
+        What no frame takes away: errors of links, springs and weight.
+
+        Args:
+            machine: The machine.
+
+        **Differentiability**: as `touch_off`, but where a distance is 0.
+        """
+        found, frame = self._found(machine), self.touch_off(machine)
+        fitted = jnp.asarray(self.probes) @ frame[:3, :3].T + frame[None, :3, 3]
+        return jnp.linalg.norm(found - fitted, axis=1)
+
+    def _found(self, machine: Robot) -> Float[Array, "probe 3"]:
+        """Where a machine's tip is when its controller takes it to be at the probes."""
         motors = placed_motors(self.motor_places(machine), self.probe_motors)
+        motors = jax.vmap(machine.transmitted)(motors)
         hold = jnp.zeros(machine.joint_count, machine.dtype)
         if machine.friction is not None:
             hold = jnp.asarray(machine.friction.coulomb)
@@ -91,12 +124,20 @@ class NominalRobot(eqx.Module):
         def tip(
             theta: Float[Array, " joint"], side: Float[Array, ""]
         ) -> Float[Array, " 3"]:
-            q = loaded_equilibrium(machine, theta, torque=side * hold)
+            def balance(
+                q: Float[Array, " joint"], _: None
+            ) -> tuple[Float[Array, " joint"], None]:
+                load = side * hold - gravity_forces(machine, q)
+                return theta + machine.drive_deflection(load), None
+
+            # Springs are much stiffer than the weight changes with the pose: each pass
+            # takes a hundredth of what the one before has left.
+            q, _ = jax.lax.scan(balance, theta, length=_BALANCE_STEPS)
             return forward_kinematics(machine, q)[:3, 3]
 
         sides = jnp.asarray([1.0, -1.0], machine.dtype)
         both = jax.vmap(jax.vmap(tip, (None, 0)), (0, None))(motors, sides)
-        return _rigid_fit(self.T_base_work, jnp.asarray(self.probes), both.mean(1))
+        return both.mean(1)
 
 
 def _rigid_fit(

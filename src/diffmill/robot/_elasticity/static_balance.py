@@ -45,13 +45,9 @@ def motor_positions(
 
 
 def loaded_equilibrium(
-    robot: Robot,
-    theta: JointVector,
-    wrench: Wrench | None = None,
-    *,
-    torque: JointVector | None = None,
+    robot: Robot, theta: JointVector, wrench: Wrench | None = None
 ) -> Float[Array, " joint"]:
-    """Equilibrium of the joints: K (theta - q) + J^T F + tau - G(q) = 0.
+    """Equilibrium of the joints: K (theta - q) + J^T F - G(q) = 0.
 
     With backlash and servos the stretch theta - q is theirs too. Friction holds
     nothing: in its smooth form a loaded joint creeps until the springs carry it.
@@ -62,8 +58,6 @@ def loaded_equilibrium(
             are taken as 0.
         wrench: External force and moment on the robot at the tool's origin in base
             axes [N, N m], shape (6,); None for none.
-        torque: tau on the joints, as of friction that holds them [N m or N], shape
-            (joint,); None for none.
 
     Returns:
         Joint positions [rad or m], shape (joint,).
@@ -74,27 +68,22 @@ def loaded_equilibrium(
         robot,
         jnp.where(robot.motor_mask(), joint_vector(robot, theta, "theta"), 0.0),
         wrench_vector(robot, wrench),
-        None if torque is None else joint_vector(robot, torque, "torque"),
     )
 
 
 @jax.jit
 def _loaded_equilibrium(
-    robot: Robot,
-    theta: Float[Array, " joint"],
-    wrench: Float[Array, " 6"],
-    torque: Float[Array, " joint"] | None,
+    robot: Robot, theta: Float[Array, " joint"], wrench: Float[Array, " 6"]
 ) -> Float[Array, " joint"]:
     # Imported here: it takes a third of a second, and not every job needs it.
     import optimistix as optx
 
     def residual(q: Float[Array, " joint"], args: PyTree) -> Float[Array, " joint"]:
-        robot, theta, wrench, torque = args
+        robot, theta, wrench = args
         frames = joint_frames(robot, q)
         load = tool_jacobian(robot, frames).T @ wrench - gravity_torques(
             robot, frames, link_inertia_rows(robot, frames)
         )
-        load = load if torque is None else load + torque
         # Divided by K, an infinite stiffness is an ordinary number.
         return theta - q + robot.drive_deflection(load)
 
@@ -102,7 +91,7 @@ def _loaded_equilibrium(
         residual,
         optx.Newton(rtol=_TOLERANCE, atol=_TOLERANCE),
         theta,
-        (robot, theta, wrench, torque),
+        (robot, theta, wrench),
         options={"jac": "fwd"},
         max_steps=_NEWTON_STEPS,
         throw=False,

@@ -74,9 +74,16 @@ class AbstractCompliant(AbstractMachine):
         command: Float[Array, "step axis"],
         row_count: IntScalar | None,
     ) -> CommandRow:
-        """Command at both ends of every period."""
+        """Command at both ends of every period, behind the gears."""
         del process, row_count
+        command = self.transmitted(command)
         return CommandRow(command[:-1], command[1:])
+
+    def transmitted(
+        self, command: Float[Array, "step axis"]
+    ) -> Float[Array, "step axis"]:
+        """Command as the gears transmit it without load: as it is."""
+        return command
 
     @abc.abstractmethod
     def motion(

@@ -7,6 +7,7 @@ joints. Each sub-step (`coupled_period.py`) hands J^T F to the integrator
 (`_integrator/base.py`).
 """
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree
 
@@ -86,8 +87,15 @@ class ElasticArm(AbstractInertialMachine):
 
     def begin(self, process: Process, command: Float[Array, "step joint"]) -> ArmState:
         """Return the state in equilibrium with the motion at the first instant."""
+        command = self.transmitted(command[:3])
         rate = start_rate(command, process.tooth_period)
         return ArmState.steady(self.robot, command[0], rate)
+
+    def transmitted(
+        self, command: Float[Array, "step joint"]
+    ) -> Float[Array, "step joint"]:
+        """Positions of the gears' output without load [rad or m]."""
+        return jax.vmap(self.robot.transmitted)(command)
 
     def pose(self, process: Process, state: ArmState) -> Pose:
         """Return the tool's pose in `work`."""

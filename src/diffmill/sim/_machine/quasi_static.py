@@ -62,9 +62,15 @@ class QuasiStaticArm(AbstractCompliant):
         self, process: Process, command: Float[Array, "step joint"]
     ) -> StaticEquilibrium:
         """Return the balance with gravity at the first instant."""
-        q = loaded_equilibrium(self.robot, command[0])
+        q = loaded_equilibrium(self.robot, self.transmitted(command[:1])[0])
         pose, jacobian, _ = self._linear(process, q)
         return StaticEquilibrium(q, pose, jnp.zeros(len(jacobian), command.dtype))
+
+    def transmitted(
+        self, command: Float[Array, "step joint"]
+    ) -> Float[Array, "step joint"]:
+        """Positions of the gears' output without load [rad or m]."""
+        return jax.vmap(self.robot.transmitted)(command)
 
     def pose(self, process: Process, state: StaticEquilibrium) -> Pose:
         """Return the tool's pose in `work`."""

@@ -41,7 +41,6 @@ def mismatched(model: Job, machine: Job, *, probes: FloatRows3 | None = None) ->
 
     Differentiability: smooth in the machine, as `NominalRobot.touch_off`.
     """
-    model, machine = model.with_precision(), machine.with_precision()
     for name, job in (("model", model), ("machine", machine)):
         if job.robot is None:
             raise ValueError(f"Argument `{name}` must have a robot, but has none.")
