@@ -49,6 +49,8 @@ def pytest_collection_modifyitems(
 
 def pytest_configure(config: pytest.Config) -> None:
     """Compile the fast tests quickly: that, not running, is most of their time."""
+    # As the commands do; SciPy's library is loaded later.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     is_fast = config.option.markexpr == "not slow"
     if is_fast and not config.getoption("benchmark_only", default=False):
         given = os.environ.get("XLA_FLAGS", "")

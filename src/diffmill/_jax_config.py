@@ -52,7 +52,8 @@ def use_compile_cache(folder: str | os.PathLike[str] | None = None) -> str:
 
     A script or notebook calls this before anything is computed; commands always keep
     theirs, and both find what the other has compiled. XLA then takes one thread, which
-    suits a simulation best, unless `NPROC` in the environment says how many.
+    suits a simulation best, unless `NPROC` in the environment says how many, and so
+    does LAPACK unless `OPENBLAS_NUM_THREADS` does.
 
     Args:
         folder: The folder; if not given, that of `JAX_COMPILATION_CACHE_DIR`, or
@@ -69,6 +70,9 @@ def use_compile_cache(folder: str | os.PathLike[str] | None = None) -> str:
     # XLA hands the many small operations of a tooth period from thread to thread, which
     # takes longer than they do: `experiments/performance/run.py step` shows it.
     os.environ.setdefault("NPROC", "1")
+    # Nor do threads of LAPACK help systems of six unknowns: they wait, busily, for each
+    # other. SciPy's library, which XLA calls, is loaded at the first of them.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     if jax.__version__.startswith(_KNOWN):
         given = os.environ.get("XLA_FLAGS", "")
         if _FAST_COMPILING not in given:

@@ -174,7 +174,7 @@ class _Search:
 
     def slopes(self, x: np.ndarray) -> np.ndarray:
         """Columns of all observations in the parameters; of the last command."""
-        columns = self.machine.columns(x, self.commands[-1], self.shares)
+        columns = self.machine.columns(x, self.rigid, self.commands[-1])
         return np.concatenate([seen.of_rows(columns) for seen in self.seen])
 
     def nuisance(self) -> np.ndarray:

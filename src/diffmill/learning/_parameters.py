@@ -1,6 +1,8 @@
 """Parameters of a machine that may be wrong, in units of their priors."""
 
 import dataclasses
+import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -10,10 +12,18 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._job import Job
-from .._types import FloatRows
+from .._types import FloatRows, RealScalarLike
 from ..process import FrozenStock, wall_deviation
-from ..robot import Robot
-from ..sim import JobKinematics, MachiningProblem, linearise, mismatched
+from ..robot import Robot, jacobian
+from ..sim import (
+    JobKinematics,
+    MachiningProblem,
+    Run,
+    Solution,
+    linearise,
+    mismatched,
+    rigid_cut,
+)
 
 # Rate above which a joint of a robot without friction of its own slides [rad/s or m/s].
 _FRICTION_SPEED = 2e-3
@@ -23,6 +33,8 @@ _CORNER, _SMOOTH_CORNER = 0.2, 1.0
 # Gaps below this share of their prior are none; slopes are taken at no less than
 # `_LEAST_SLOPE`, since a gap of nothing has none.
 _LEAST_GAP, _LEAST_SLOPE = 0.02, 0.3
+# Change of the logarithm of a force coefficient, for differences.
+_FORCE_STEP = 0.1
 
 Rows3 = Float[np.ndarray, "step 3"]
 
@@ -84,6 +96,8 @@ class AdaptableMachine(eqx.Module):
         base: The job; its controller knows the model.
         sizes: Standard deviations of the priors, shape (parameter,).
         center: Point of the work about which the field turns [m], shape (3,).
+        force_slopes: Slopes of the force of the rigid cut in the logarithms of the
+            coefficients [N], shape (step, 3, coefficient).
         groups: The parameters by kind; the field is the last.
         names: Names of the parameters.
     """
@@ -91,9 +105,9 @@ class AdaptableMachine(eqx.Module):
     base: Job
     sizes: Float[np.ndarray, " parameter"]
     center: Float[np.ndarray, " 3"]
+    force_slopes: Float[Array, "step 3 coefficient"]
     groups: tuple[Group, ...] = eqx.field(static=True)
     names: tuple[str, ...] = eqx.field(static=True)
-    common_force: float = eqx.field(static=True)
 
     @classmethod
     def of_job(cls, job: Job, prior: MachinePrior) -> "AdaptableMachine":
@@ -144,9 +158,9 @@ class AdaptableMachine(eqx.Module):
             base=base,
             sizes=np.concatenate([sizes for sizes, _ in kinds.values()]),
             center=0.5 * (positions.min(axis=0) + positions.max(axis=0)),
+            force_slopes=_rigid_force_slopes(base),
             groups=tuple(groups),
             names=tuple(name for _, names in kinds.values() for name in names),
-            common_force=prior.force,
         )
 
     @property
@@ -197,17 +211,20 @@ class AdaptableMachine(eqx.Module):
     def columns(
         self,
         x: Float[np.ndarray, " parameter"],
+        rigid: Run,
         commanded: FloatRows,
-        shares: Float[Array, " step"],
     ) -> Float[np.ndarray, "step 3 parameter"]:
         """Slopes of the tip at the wall instants of a run in the parameters [m].
 
-        One linear system of the run carries all parameters at once.
+        A parameter of a drive is a torque along the path, which follows from where the
+        joints are, and one of the force one that follows from the rigid cut. One linear
+        system of the run, with slopes in the motors and in torques on the joints,
+        carries any number of them.
 
         Args:
             x: Parameters, shape (parameter,).
+            rigid: Rigid cut of the base.
             commanded: Commanded tips [m], shape (step, 3).
-            shares: When in each period the wall is made, shape (step,).
         """
         at = x.copy()
         gaps = self.group("backlash").index
@@ -217,8 +234,31 @@ class AdaptableMachine(eqx.Module):
         joints, _ = known.joints(command)
         motors = known.motor_positions_from_joints(joints)
         slopes = known.motor_slopes(joints, command)
-        found = _columns(self, job, jnp.asarray(at), motors, slopes, shares)
+        run = Solution.of_command(job, rigid, command, FrozenStock(), motors)
+        given = motors, slopes, run.joint_positions, run.motor_positions
+        shares = run.wall_share
+        found = _columns(self, job, jnp.asarray(at), *given, self.force_slopes, shares)
         return np.asarray(found) + self.field_columns(np.asarray(job.path.positions))
+
+
+def _rigid_force_slopes(job: Job) -> Float[Array, "step 3 coefficient"]:
+    """Slopes of the force of the rigid cut in the logarithms of the coefficients [N].
+
+    By differences: exact for a law that is linear in its coefficients.
+    """
+    names = job.parameter_names
+    first = len(names) - 1 - len(job.law.parameter_names)
+    plain = dataclasses.replace(job, nominal=None)
+
+    def force(change: Float[np.ndarray, " parameter"]) -> Float[Array, "step 3"]:
+        return rigid_cut(plain.with_scaled(jnp.asarray(change)), FrozenStock()).force
+
+    def slope(index: int) -> Float[Array, "step 3"]:
+        way = np.zeros(len(names))
+        way[index] = _FORCE_STEP
+        return (force(way) - force(-way)) / (2 * math.sinh(_FORCE_STEP))
+
+    return jnp.stack([slope(k) for k in range(first, len(names) - 1)], axis=-1)
 
 
 def _robot_at(robot: Robot, friction: Array, backlash: Array, corner: float) -> Robot:
@@ -280,38 +320,92 @@ def _columns(
     x: Array,
     motors: Float[Array, "step joint"],
     slopes: Float[Array, "step joint 3"],
+    joints: Float[Array, "step joint"],
+    driven: Float[Array, "step joint"],
+    force: Float[Array, "step 3 coefficient"],
     shares: Float[Array, " step"],
 ) -> Float[Array, "step 3 parameter"]:
-    count, controller = machine.count, job.controller
-    period = job.tooth_period
+    """Slopes of the tip in all parameters but those of the field.
 
-    def at(change):
-        moved = _machine_at(machine, x + change, jnp.asarray(_SMOOTH_CORNER))
-        moved = dataclasses.replace(moved, T_base_work=job.T_base_work)
-        problem = MachiningProblem.of(moved, FrozenStock())
-        return problem.machine, problem.process
-
-    def frame(change):
-        moved = _machine_at(machine, x + change, jnp.asarray(_SMOOTH_CORNER))
-        return job.nominal.touch_off(moved.robot)
-
-    none = jnp.zeros(count, motors.dtype)
-    machine_now, process = at(none)
-    T, dT = frame(none), jax.jacfwd(frame)(none)
-    R, dR, dt = T[:3, :3], dT[:3, :3], dT[:3, 3]
-    desired = jnp.asarray(job.path.positions)
-    # A frame that moves under a tip is a tip that moves in the frame.
-    moved = jnp.einsum("bap,bc,kc->kap", dR, R, desired)
-    moved = moved - jnp.einsum("ba,bp->ap", R, dt)[None]
+    Args:
+        machine: The machine.
+        job: The job at its parameters, with round corners.
+        x: These.
+        motors: Commanded motors, before the controller [rad or m].
+        slopes: Slopes of them in the commanded tip.
+        joints: Where the joints are [rad or m].
+        driven: Motors behind the controller [rad or m].
+        force: Slopes of the force on the tool in the logarithms of the coefficients.
+        shares: When in each period the wall is made.
+    """
+    desired, period = jnp.asarray(job.path.positions), job.tooth_period
+    zero = jnp.zeros(machine.count, motors.dtype)
+    at = lambda change: _machine_at(machine, x + change, jnp.asarray(_SMOOTH_CORNER))
+    controller = job.controller
+    moved = _frame_motion(at, zero, job, desired)
     changes = jnp.einsum("kja,kap->kjp", slopes, moved)
     if controller is not None:
         motors, changes = (controller.motors(y, period) for y in (motors, changes))
-
-    def scaled(around, change):
-        moved, process = at(change)
-        return around._replace(machine=moved, process=process)
-
-    run = linearise(machine_now, process, motors, scaled=scaled, parameter_count=count)
-    ends = run.move(changes, jnp.eye(count, dtype=motors.dtype)).ends
+    torque = _torques(at, zero, joints, driven, period)
+    torque = torque + _force_torques(machine, job, joints, force)
+    problem = MachiningProblem.of(job, FrozenStock())
+    command = jnp.concatenate([motors, jnp.zeros_like(motors)], axis=1)
+    run = linearise(problem.machine, problem.process, command)
+    ends = run.move(jnp.concatenate([changes, torque], axis=1)).ends
     of = lambda ends: wall_deviation(ends, jnp.zeros_like(desired), shares)
     return jax.vmap(of, in_axes=-1, out_axes=-1)(ends)
+
+
+def _force_torques(
+    machine: AdaptableMachine,
+    job: Job,
+    joints: Float[Array, "step joint"],
+    force: Float[Array, "step 3 coefficient"],
+) -> Float[Array, "step joint parameter"]:
+    """Slopes of the joints' torques in the parameters of the force."""
+    robot, R = job.robot, jnp.asarray(job.T_base_work)[:3, :3]
+    assert robot is not None
+    group = machine.group("force")
+    sizes = jnp.asarray(machine.sizes[group.index])
+    # The first of the group is what all coefficients have in common.
+    together = sizes[0] * (sizes[1:] > 0)
+    own = jnp.concatenate([together[:, None], jnp.diag(sizes[1:])], axis=1)
+    J = jax.vmap(lambda q: jacobian(robot, q)[:3])(joints)
+    torque = jnp.einsum("kbj,ba,kac,cp->kjp", J, R, force, own)
+    found = jnp.zeros((*joints.shape, machine.count), torque.dtype)
+    return found.at[:, :, group.index].set(torque)
+
+
+def _frame_motion(
+    at: Callable[[Array], Job], zero: Array, job: Job, desired: Float[Array, "step 3"]
+) -> Float[Array, "step 3 parameter"]:
+    """Motion of the tip in the work as the work's frame moves under it [m]."""
+    assert job.nominal is not None
+    frame = lambda change: job.nominal.touch_off(at(change).robot)
+    T, dT = jnp.asarray(job.T_base_work), jax.jacfwd(frame)(zero)
+    R, dR, dt = T[:3, :3], dT[:3, :3], dT[:3, 3]
+    turned = jnp.einsum("bap,bc,kc->kap", dR, R, desired)
+    return turned - jnp.einsum("ba,bp->ap", R, dt)[None]
+
+
+def _torques(
+    at: Callable[[Array], Job],
+    zero: Array,
+    joints: Float[Array, "step joint"],
+    motors: Float[Array, "step joint"],
+    period: RealScalarLike,
+) -> Float[Array, "step joint parameter"]:
+    """Slopes of the drives' torques in the parameters."""
+    v, rate = (jnp.gradient(rows, period, axis=0) for rows in (joints, motors))
+
+    def torque(change: Array) -> Float[Array, "step joint"]:
+        robot = at(change).robot
+        assert robot is not None
+
+        def of_row(q: Array, v: Array, theta: Array, rate: Array) -> Array:
+            gear = robot.gear_torque(theta - q, rate - v).torque
+            return gear - robot.friction_torque(v)
+
+        return jax.vmap(of_row)(joints, v, motors, rate)
+
+    return jax.jacfwd(torque)(zero)

@@ -36,6 +36,7 @@ class ArmPeriod(AbstractPeriodDynamics):
         motors: Where they are at the start [rad or m], shape (joint,).
         rate: Of the motors [rad/s or m/s], shape (joint,).
         substep: Length of a sub-step [s], shape ().
+        torque: Further torque on the joints [N m or N], shape (joint,); None for none.
     """
 
     robot: Robot
@@ -47,6 +48,7 @@ class ArmPeriod(AbstractPeriodDynamics):
     motors: Float[Array, " joint"]
     rate: Float[Array, " joint"]
     substep: Float[Array, ""]
+    torque: Float[Array, " joint"] | None = None
 
     def middle(self, state: ArmState, time: Float[Array, ""]) -> Float[Array, " 3"]:
         """Return the tip in the middle of a sub-step, as fast as at its start [m]."""
@@ -59,6 +61,8 @@ class ArmPeriod(AbstractPeriodDynamics):
     ) -> ArmState:
         """Return the state at the end of a sub-step."""
         torque = load @ self.jacobian
+        if self.torque is not None:
+            torque = torque + self.torque
         command = MotorCommand(self.motors + time * self.rate, self.rate)
         return self.integrator.step(
             self.robot, self.prepared, state, command, torque, self.substep
@@ -72,7 +76,9 @@ class ArmPeriod(AbstractPeriodDynamics):
 class ElasticArm(AbstractInertialMachine):
     """A robot with elastic joints; its command are its motors' positions.
 
-    The run starts in equilibrium with gravity, moving with the motors.
+    The run starts in equilibrium with gravity, moving with the motors. A command with
+    twice as many columns has torques on the joints behind the motors, linear between
+    two rows: in them the linear system around a run then has slopes, too.
 
     Attributes:
         robot: The robot with its tool. Where the process says that the tool stands
@@ -85,17 +91,29 @@ class ElasticArm(AbstractInertialMachine):
     T_base_work: Transform
     integrator: AbstractIntegrator = Midpoint()
 
-    def begin(self, process: Process, command: Float[Array, "step joint"]) -> ArmState:
+    def begin(self, process: Process, command: Float[Array, "step axis"]) -> ArmState:
         """Return the state in equilibrium with the motion at the first instant."""
         command = self.transmitted(command[:3])
-        rate = start_rate(command, process.tooth_period)
-        return ArmState.steady(self.robot, command[0], rate)
+        motors, torque = self._split(command[0])
+        rate = start_rate(command, process.tooth_period)[: motors.size]
+        return ArmState.steady(self.robot, motors, rate, torque)
 
     def transmitted(
-        self, command: Float[Array, "step joint"]
-    ) -> Float[Array, "step joint"]:
-        """Positions of the gears' output without load [rad or m]."""
-        return jax.vmap(self.robot.transmitted)(command)
+        self, command: Float[Array, "step axis"]
+    ) -> Float[Array, "step axis"]:
+        """Command behind the gears, without load [rad or m], [N m or N]."""
+        if self.robot.gear_waves is None:
+            return command
+        count = self.robot.joint_count
+        motors = jax.vmap(self.robot.transmitted)(command[:, :count])
+        return jnp.concatenate([motors, command[:, count:]], axis=1)
+
+    def _split(
+        self, command: Float[Array, " axis"]
+    ) -> tuple[Float[Array, " joint"], Float[Array, " joint"] | None]:
+        """Motors of a row, and torques if it has any."""
+        count = self.robot.joint_count
+        return command[:count], command[count:] if command.size > count else None
 
     def pose(self, process: Process, state: ArmState) -> Pose:
         """Return the tool's pose in `work`."""
@@ -114,12 +132,16 @@ class ElasticArm(AbstractInertialMachine):
     def dynamics(self, process: Process, state: ArmState, row: CommandRow) -> ArmPeriod:
         """Return the robot in a period, from its state and the motors."""
         robot, rule = self.robot, self.integrator
-        rate = (row.stop - row.start) / process.tooth_period
+        start, torque = self._split(row.start)
+        stop, later = self._split(row.stop)
+        if torque is not None and later is not None:
+            torque = (torque + later) / 2
+        rate = (stop - start) / process.tooth_period
         held = HoldSpan(process.tooth_period, process.engagement.substeps)
         terms = ArmTerms.of_state(robot, state.q, state.v)
         T_base_work, is_upright = self.T_base_work, process.engagement.is_upright
         pose = in_work(T_base_work, terms.T_base_tool, is_upright)
-        motors = MotorCommand(row.start, rate)
+        motors = MotorCommand(start, rate)
         terms = middle_terms(robot, rule, terms, state, motors, held)
         return ArmPeriod(
             robot=robot,
@@ -128,9 +150,10 @@ class ElasticArm(AbstractInertialMachine):
             joints=state.q,
             jacobian=jacobian_in_work(T_base_work, terms.jacobian)[: self.load_count],
             prepared=rule.begin(robot, terms, held.substep),
-            motors=row.start,
+            motors=start,
             rate=rate,
             substep=held.substep,
+            torque=torque,
         )
 
 

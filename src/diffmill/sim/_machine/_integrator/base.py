@@ -45,7 +45,11 @@ class ArmState(eqx.Module):
 
     @classmethod
     def steady(
-        cls, robot: Robot, theta: Float[Array, " joint"], v: Float[Array, " joint"]
+        cls,
+        robot: Robot,
+        theta: Float[Array, " joint"],
+        v: Float[Array, " joint"],
+        torque: Float[Array, " joint"] | None = None,
     ) -> "ArmState":
         """Return the arm moving with its motors, balanced with gravity and motion.
 
@@ -55,6 +59,7 @@ class ArmState(eqx.Module):
             robot: The robot.
             theta: Where the controller wants the motors [rad or m], shape (joint,).
             v: How fast they and the joints move [rad/s or m/s], shape (joint,).
+            torque: On the joints [N m or N], shape (joint,); None for none.
 
         Returns:
             The state; motors with a mass are where their servos hold them.
@@ -67,6 +72,8 @@ class ArmState(eqx.Module):
             tau = ArmTerms.of_state(robot, q, v).bias_forces
             if robot.friction is not None:
                 tau = tau + robot.friction_torque(v)
+            if torque is not None:
+                tau = tau - torque
             return theta - robot.drive_deflection(tau), tau
 
         # A loop, since each copy of the arm's terms would be compiled for itself.
