@@ -20,8 +20,8 @@ PACKAGE = ROOT / "src" / "diffmill"
 CONFIG = PACKAGE / "config"
 AREAS = (
     *("cutter", "cutting", "workpiece", "toolpath", "robot", "process", "sim"),
-    *("correction", "identification", "io", "config", "campaign", "viz", "examples"),
-    *("settings", "numerics", "optimise", "units"),
+    *("correction", "learning", "identification", "io", "config", "campaign", "viz"),
+    *("examples", "settings", "numerics", "optimise", "units"),
 )
 # Tables in the order of their pages; first are keys that belong to no table alone.
 TABLES = (

@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from ._toml import JobError as JobError
     from .config import load_job as load_job
     from .correction import Correction as Correction, correct as correct
+    from .learning import learn as learn
     from .settings.correction import (
         CorrectionSettings as CorrectionSettings,
         LineWeight as LineWeight,
@@ -49,6 +50,7 @@ if TYPE_CHECKING:
         ScatterSettings as ScatterSettings,
         SimulationSettings as SimulationSettings,
     )
+    from .settings.truth import TruthSettings as TruthSettings
     from .sim import Solution as Solution, simulate as simulate, stack as stack
 
     __version__: str
@@ -62,6 +64,7 @@ _MODULES = (
     "examples",
     "identification",
     "io",
+    "learning",
     "numerics",
     "optimise",
     "process",
@@ -85,8 +88,10 @@ _NAMES = {
     "SimulationFailed": "_result",
     "SimulationSettings": "settings.simulation",
     "Solution": "sim",
+    "TruthSettings": "settings.truth",
     "UncertaintySettings": "settings.correction",
     "correct": "correction",
+    "learn": "learning",
     "load_job": "config",
     "simulate": "sim",
     "stack": "sim",

@@ -23,5 +23,9 @@ from ._measurement import (
     Part as Part,
     TrackedTips as TrackedTips,
     WallPoints as WallPoints,
+    wall_times as wall_times,
 )
-from ._parameters import MachinePrior as MachinePrior
+from ._parameters import (
+    AdaptableMachine as AdaptableMachine,
+    MachinePrior as MachinePrior,
+)

@@ -116,6 +116,9 @@ def learn(
     for _ in range(_FIRST_STEPS if known is None else _LATER_STEPS):
         tell("what the machine does beyond its model")
         x = search.step(x)
+        if search.gain < _LEAST_GAIN:
+            tell("the parts show nothing that the model does not know")
+            break
     found = search.outcome(x)
     if not corrects:
         return found
@@ -141,12 +144,10 @@ class _Search:
         self.cuts = np.asarray(model.is_cutting)
         self.seen = tuple(part.measured.seen(job, model) for part in parts)
         self.weights = np.ones(len(parts))
-        self._columns: list[tuple[np.ndarray, np.ndarray]] = []
-        self.runs = 1
+        self.gain = 0.0
 
     def predicted(self, x: np.ndarray, command: FloatRows3) -> Rows3:
         """Deviation of the tip at the wall instants with some parameters [m]."""
-        self.runs += 1
         adapted = self.machine.job_at(x)
         run = Solution.of_command(
             adapted, self.rigid, jnp.asarray(command), FrozenStock()
@@ -199,6 +200,7 @@ class _Search:
         M, r = white[:, 1:], white[:, 0]
         at = np.r_[x[free], np.zeros(M.shape[1] - len(free))]
         prior = chosen_prior(self.machine, free, M, r + M @ at)
+        self.gain = prior.gain + found.gain
         return free, at, M, r, prior
 
     def step(self, x: np.ndarray) -> np.ndarray:
@@ -206,7 +208,8 @@ class _Search:
         free, at, M, r, prior = self._system(x)
         lower = np.r_[self.machine.lower[free], np.full(len(at) - len(free), -np.inf)]
         x = x.copy()
-        x[free] = solved(at, lower, prior, M, r)[: len(free)]
+        if self.gain >= _LEAST_GAIN:
+            x[free] = solved(at, lower, prior, M, r)[: len(free)]
         self.last = free, M, prior
         return x
 
@@ -217,6 +220,8 @@ class _Search:
         stacked, residual = self.weigh(residuals), np.concatenate(residuals)
         found = processes(stacked, residual)
         mean, deviation = self._disturbance(stacked, found, residual)
+        if self.gain < _LEAST_GAIN:
+            mean = np.zeros_like(mean)
         inverse = np.linalg.inv(prior.root)
         covariance = np.zeros((self.machine.count, self.machine.count))
         at = np.ix_(free, free)
@@ -236,7 +241,7 @@ class _Search:
             sizes=self.machine.sizes,
             disturbance=mean,
             uncertainty=deviation,
-            gain=prior.gain + found.gain,
+            gain=self.gain,
             machine=self.machine,
         )
 

@@ -185,13 +185,17 @@ class AdaptableMachine(eqx.Module):
             bounds[self.group(name).index] = 0.0
         return bounds
 
-    def job_at(self, x: Float[np.ndarray, " parameter"]) -> Job:
+    def job_at(
+        self, x: Float[np.ndarray, " parameter"], *, smooth: bool = False
+    ) -> Job:
         """Job with the machine of some parameters, touched off.
 
         Args:
             x: Parameters in units of their priors, shape (parameter,).
+            smooth: True for gaps with corners as round as those of slopes.
         """
-        return _touched_off(self, jnp.asarray(x), _CORNER)
+        corner = _SMOOTH_CORNER if smooth else _CORNER
+        return _touched_off(self, jnp.asarray(x), corner)
 
     def field(self, x: Float[np.ndarray, " parameter"], at: Rows3) -> Rows3:
         """Error of the tip at points of the work by the field alone [m]."""

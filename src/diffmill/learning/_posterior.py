@@ -71,9 +71,12 @@ def processes(stacked: Stacked, residual: np.ndarray) -> Processes:
     """Processes of the largest marginal likelihood for a residual.
 
     A tracker sees each axis, which then has a process of its own; points of walls see
-    one direction each, and all axes share theirs.
+    one direction each, and all axes share theirs. A constant is none of its matters:
+    touching off leaves one, which has a parameter.
     """
     direction = np.concatenate([s.direction for s in stacked.seen])
+    offset = np.linalg.lstsq(direction, residual, rcond=None)[0]
+    residual = residual - direction @ offset
     time = np.concatenate([s.time for s in stacked.seen])
     if all(s.is_tracked for s in stacked.seen):
         sets = [(np.eye(3)[a], direction[:, a] == 1) for a in range(3)]
