@@ -23,6 +23,7 @@ from .._cut.cut_model import (
     CutForce,
     EngagementColumns,
     LinearForce,
+    at_times,
     coarser,
     instantaneous_force,
     linear_force,
@@ -129,7 +130,7 @@ def fit_cutter_geometry(
         if has_converged:
             break
     state = [
-        _simulated(dataclasses.replace(coarse.record, cut=one.cut), names, x, K)
+        _simulated(dataclasses.replace(one, shift=coarse.record.shift), names, x, K)
         for one, coarse in zip(records, state, strict=True)
     ]
     if has_converged:
@@ -260,9 +261,10 @@ def _simulated(
     spacing = one.cut.tooth_period / linear.force.shape[1]
     constant = F - J[:, :, :6] @ K
     # A few micrometres of the cutter change little of its discretisation error.
-    engagement = EngagementColumns(
-        0.5 * spacing, spacing, J[:, :, :6], constant, one.engagement.refinement
-    )
+    old, start = one.engagement, 0.5 * spacing
+    instants = start + spacing * np.arange(len(constant))
+    refinement = at_times(old.refinement, old.start, old.spacing, instants)
+    engagement = EngagementColumns(start, spacing, J[:, :, :6], constant, refinement)
     cutter = cutter_with(base.cutter, names, jnp.asarray(lengths, dtype))
     moved = dataclasses.replace(
         one, cut=dataclasses.replace(one.cut, cutter=cutter), engagement=engagement

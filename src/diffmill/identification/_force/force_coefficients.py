@@ -59,8 +59,8 @@ _EXPLAINED = 0.8
 # Rows of a record by which its channels are checked.
 _CHECKED = 20000
 # Error of the simulation over what half as many rays and angles change of it: a third
-# where it falls with their square, all of it where it falls with their number.
-_LEFT = 0.5
+# where it falls with the square of their number, all of it where it falls with that.
+_LEFT = 1.0
 # An offset or a drift is told from this share of the force on.
 _TOLD = 0.01
 # A length is known if its standard error is below this [m].
