@@ -5,7 +5,7 @@ python experiments/chip_models/run.py [--out FOLDER] [--shifts N]
 "near_far" takes the chip from the circles of earlier poses and asks the rays only
 where there is material; "point_cloud" is the paper's: extreme angles of the ray ends
 that each pose cuts. Straight up-milling cuts, D = 10 mm, 2 teeth, 1 mm deep, rays
-0.2 mm apart. The reference is a quadrature of the chip between two circles.
+0.2 mm apart. The reference is a quadrature of the chip between trochoids.
 """
 
 import argparse
@@ -99,7 +99,7 @@ def steady(chip: str, positions: np.ndarray, stock: dm.workpiece.Stock) -> np.nd
 
 
 def reference(radial_depth: float) -> np.ndarray:
-    """Return the mean force of the chip between two circles in the stock [N]."""
+    """Return the mean force of the chip between trochoids in the stock [N]."""
     return circles.mean_force(LAW, circles.Cut(FEED, radial_depth), DEPTH)
 
 

@@ -81,7 +81,7 @@ def _errors(run, radial: float, feed: float) -> tuple[float, float]:
             force = np.asarray(solution.force)[STEADY:].mean(axis=0)
             # Two teeth share a turn.
             area = force[2] * math.pi / AXIAL_DEPTH
-            areas.append(abs(area / (feed * radial) - 1))
+            areas.append(abs(area / circles.chip_area(cut) - 1))
             wanted = circles.mean_force(LAW, cut, AXIAL_DEPTH)
             forces.append(relative(force[:2], wanted[:2]))
     return 100 * max(areas), 100 * max(forces)

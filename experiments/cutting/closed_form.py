@@ -44,7 +44,7 @@ def measure(report: Report) -> None:
         return
     cases = json.loads(file.read_text())["cases"]
     report.say("Largest error over the cases with an engagement: of the mean force")
-    report.say("against two circles, of the extremes against the same and against the")
+    report.say("against trochoids, of the extremes against the same and against the")
     report.say("recorded closed form, relative to the peak [%]; difference of the mean")
     report.say("to the closed form over f / R, at f and f / 4")
     report.say(
@@ -63,7 +63,7 @@ def measure(report: Report) -> None:
         )
     every = np.concatenate(list(rows.values()))
     report.say(f"{len(every)} cases")
-    report.figure("mean force, two circles, largest error", every[:, 0].max(), 1.5)
+    report.figure("mean force, trochoids, largest error", every[:, 0].max(), 1.5)
     report.figure("extremes over a turn, largest error", every[:, 1].max(), 3.0)
     # In proportion to f, this constant would not change at all.
     ratio = every[:, -1] / every[:, 3]

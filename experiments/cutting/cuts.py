@@ -55,7 +55,7 @@ def reference_force(
     steps: int = 720,
     elements: int = 200,
 ) -> np.ndarray:
-    """Return the force over a revolution between two circles [N], shape (step, 3)."""
+    """Return the force over a revolution between trochoids [N], shape (step, 3)."""
     tool = marching.Tool(
         RADIUS,
         marching.even_teeth(teeth),
@@ -64,7 +64,15 @@ def reference_force(
         helix_angle=helix_angle,
     )
     return marching.force_over_revolution(
-        tool, law, stock, feed, axis, tip=tip, steps=steps, elements=elements
+        tool,
+        law,
+        stock,
+        feed,
+        axis,
+        tip=tip,
+        steps=steps,
+        elements=elements,
+        is_trochoidal=True,
     )
 
 

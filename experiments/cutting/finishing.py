@@ -32,7 +32,7 @@ SETTINGS = {
 def measure(report: Report) -> None:
     """Measure the table at the defaults, and with finer rays and angles."""
     report.say()
-    report.say("Mean force against two circles, D = 10 mm, d = D/50, 180 angles, up-")
+    report.say("Mean force against trochoids, D = 10 mm, d = D/50, 180 angles, up-")
     report.say(
         f"and down-milling at {OFFSETS} random offsets: largest / mean error [%]"
     )

@@ -1,5 +1,6 @@
-"""Mean force of straight cuts against a quadrature of the two-circle chip."""
+"""Mean force of straight cuts against a quadrature of the chip between trochoids."""
 
+import dataclasses
 import functools
 import json
 import math
@@ -144,7 +145,7 @@ def _closed_form(report: Report) -> None:
         found.append(100 * relative(force, closed))
         report.say(
             f"  f = {1e3 * feed:5.3f} mm: simulation {found[-1]:6.3f}, "
-            f"two-circle quadrature {100 * relative(wanted, closed):6.3f}"
+            f"quadrature {100 * relative(wanted, closed):6.3f}"
         )
     report.require("falls with the feed", bool(np.all(np.diff(found) < 0)))
 
@@ -163,7 +164,7 @@ def _reference_cases(report: Report) -> None:
         exact.append(100 * relative(force, wanted))
         closed.append(100 * relative(force, case["mean_closed_form_FxFyFz_N"]))
     report.say(f"{len(exact)} reference cases of straight cuts")
-    report.figure("largest error against the two-circle quadrature", max(exact), 1.5)
+    report.figure("largest error against the quadrature", max(exact), 1.5)
     report.say(f"  mean error {np.mean(exact):.2f} %")
     report.say(
         f"  against the closed form: largest {max(closed):.2f} %, above 1.5 % in "
@@ -183,6 +184,6 @@ def _run_case(case: dict) -> tuple[np.ndarray, np.ndarray]:
     lower, upper, stock = random_block(np.random.default_rng(5))
     path = cut_across(lower, upper, radial, axial, feed, is_down=is_down)
     run = compiled_process(case["N"], 3.1e-3)
-    cut = straight_cut(feed, radial, is_down)
-    wanted = circles.mean_force(law, cut, axial, teeth=case["N"])
+    cut = dataclasses.replace(straight_cut(feed, radial, is_down), teeth=case["N"])
+    wanted = circles.mean_force(law, cut, axial)
     return steady_force(run(path, stock, law)), wanted

@@ -11,7 +11,7 @@ import sys
 
 HERE = pathlib.Path(__file__).parent
 # The runner is shared with other experiments.
-sys.path.append(str(HERE.parent / "common"))
+sys.path += [str(HERE.parent / "common"), str(HERE.parents[1] / "tests")]
 
 GROUPS = ("coverage", "measured", "load_tests", "coupled", "kinematics", "speed")
 

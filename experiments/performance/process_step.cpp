@@ -191,10 +191,14 @@ struct Settings {
 
 // ---- chip -----------------------------------------------------------------------
 
-// What one earlier circle, shifted by `offset`, leaves along the radius of a tooth.
+// What one earlier circle, shifted by `offset` while the cutter turned by the inverse of
+// `inverse_turn`, leaves along the radius of a tooth.
 double circle_chip(double R, double x, double y, double sin, double cos,
-                   double missed) {
-  const double outward = x * sin + y * cos, sideways = x * cos - y * sin;
+                   double missed, double inverse_turn) {
+  const double lead = (x * cos - y * sin) / R * inverse_turn;
+  const double share = 1 / (1 - clamp(-0.5, lead, 0.5));
+  const double outward = share * (x * sin + y * cos);
+  const double sideways = share * (x * cos - y * sin);
   const double square = R * R - sideways * sideways;
   return square > 0 ? R - outward - std::sqrt(square) : missed;
 }
@@ -722,7 +726,7 @@ class Process {
       // Of two opposite teeth the one ahead.
       if (lead < 0) sin = -sin, cos = -cos, lead = -lead;
       sample.sin = sin, sample.cos = cos, sample.fade = faded(lead / set.angle_step);
-      const double chip = clamp(0, circle_chip(set.R, -x, -y, sin, cos, 0), set.R);
+      const double chip = clamp(0, circle_chip(set.R, -x, -y, sin, cos, 0, 0), set.R);
       const double R = set.R, way = set.angle_step * R;
       const Rim rim{{tip[0] + R * sin, tip[1] + R * cos, tip[2]},
                     {way * cos, -way * sin},
@@ -752,9 +756,11 @@ class Process {
       const Sample& sample = samples[i];
       if (!sample.is_met()) continue;
       const double sin = sample.sin, cos = sample.cos;
-      const double newest = circle_chip(set.R, -x, -y, sin, cos, 0);
+      // Two teeth; when older circles were swept is not known.
+      const double newest = circle_chip(set.R, -x, -y, sin, cos, 0, 1 / kPi);
       for (size_t c = 0; c < older.size(); ++c)
-        left[c] = circle_chip(set.R, older[c][0], older[c][1], sin, cos, set.diameter);
+        left[c] = circle_chip(set.R, older[c][0], older[c][1], sin, cos, set.diameter,
+                              c == 0 ? 0.5 / kPi : 0);
       const double lead = lead_of(x, y, sin, cos);
       const TakenOver over(lead, set.angle_step, feed / set.diameter);
       for (int e = 0; e < set.discs; ++e) {

@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from diffmill.cli import main
 from diffmill.config import load_identification
@@ -94,3 +95,53 @@ def test_a_gap_of_the_record_is_left_out(tmp_path):
     found = study.run()
     assert found.bandwidth == pytest.approx(6.0, rel=0.03)
     assert found.damping_ratio == pytest.approx(0.6, rel=0.03)
+
+
+def coloured(draw, shape, size=5e-6, rho=0.95):
+    """Return noise of a tracker, correlated over some twenty rows [m]."""
+    white = draw.normal(size=(300 + shape[0], *shape[1:]))
+    return size * lfilter([np.sqrt(1 - rho**2)], [1, -rho], white, axis=0)[300:]
+
+
+def study(actual, time):
+    rows = np.ones(len(time), bool)
+    return ControllerStudy(
+        "air", time[1] - time[0], command(time), actual, rows, "second", ()
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rho", [0.0, 0.95])
+def test_intervals_hold_with_coloured_noise(rho):
+    time = 4e-3 * np.arange(1500)
+    clean = served(time, 8.0, 20e-3, 0.7)
+    truth, off = np.array([8.0, 0.7, 20e-3]), []
+    for seed in range(40):
+        draw = np.random.default_rng(seed)
+        fit = study(clean + coloured(draw, clean.shape, 20e-6, rho), time).run()
+        found = np.array([fit.bandwidth, fit.damping_ratio, fit.dead_time])
+        names = ("bandwidth", "damping_ratio", "dead_time")
+        off.append((found - truth) / [fit.standard_errors[name] for name in names])
+        assert fit.are_servos_alike
+    held = (np.abs(off) < 1.96).mean(axis=0)
+    assert (held >= 0.85).all()
+    assert (np.std(off, axis=0) > 0.5).all()
+
+
+def test_servos_that_differ_are_refused(tmp_path):
+    """Axes of 5, 7 and 6 Hz: one servo of their mean would be no servo of any."""
+    time, servos = 4e-3 * np.arange(1500), (5.0, 7.0, 6.0)
+    actual = np.stack(
+        [served(time, f, 20e-3, 0.7)[:, i] for i, f in enumerate(servos)], axis=1
+    )
+    actual = actual + coloured(np.random.default_rng(0), actual.shape)
+    fit = study(actual, time).run()
+    assert not fit.are_servos_alike and not fit.is_identifiable
+    # The third axis does not move.
+    np.testing.assert_allclose(fit.bandwidth_by_axis[:2], servos[:2], rtol=0.05)
+    assert np.isnan(fit.bandwidth_by_axis[2])
+    file, out = write(tmp_path, time, actual), tmp_path / "out"
+    assert main(["identify", str(file), "--out", str(out)]) == 0
+    assert "[controller]" not in (out / "identified.toml").read_text()
+    said = " ".join((out / "summary.txt").read_text().split())
+    assert "One servo for all axes does not suit this record" in said

@@ -1,3 +1,4 @@
+import dataclasses
 import math
 
 import numpy as np
@@ -20,7 +21,7 @@ def columns():
         found[:, axis, axis] = 1e-7 * share * depth * wave
         found[:, axis, 3 + axis] = 1e-3 * share * (depth > 0) * (wave > 0)
     return identification.EngagementColumns(
-        0.5 * spacing, spacing, found, np.zeros((len(time), 3))
+        0.5 * spacing, spacing, found, np.zeros((len(time), 3)), 0 * found
     )
 
 
@@ -49,9 +50,7 @@ def test_nothing_to_meet_is_said():
     time = np.linspace(0, 1, 100)
     with pytest.raises(ValueError):
         identification.align_in_time(found, K, time, np.zeros((100, 3)))
-    idle = identification.EngagementColumns(
-        found.start, found.spacing, 0 * found.columns, found.constant
-    )
+    idle = dataclasses.replace(found, columns=0 * found.columns)
     with pytest.raises(ValueError):
         identification.align_in_time(idle, K, time, np.ones((100, 3)))
 

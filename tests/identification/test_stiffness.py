@@ -344,3 +344,36 @@ def test_tables_of_a_wrong_shape_are_refused():
     wrench[2, 0] = np.nan
     with pytest.raises(ValueError, match="row 2"):
         fit_joint_stiffness(robot, q, wrench, q[:, :3])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("flange", [np.inf, 2e7])
+@pytest.mark.parametrize("friction", ["none", "opposing", "stuck"])
+def test_intervals_hold_with_friction_and_a_flange_that_yields(flange, friction):
+    """Friction holds back the torque, or leaves it anywhere within its reach."""
+    robot = arm()
+    c = 1 / np.asarray(robot.joint_stiffness)
+    reach = np.array([60, 60, 60, 18, 18, 12.0])
+    held, ratio = [], []
+    for seed in range(30):
+        q, wrench, draw = loads(robot, 24, seed)
+        J = np.asarray(jax.vmap(lambda a: rb.jacobian(robot, a))(jnp.asarray(q)))
+        torque = np.einsum("pcj,pc->pj", J, wrench)
+        lost = np.sign(torque) * np.minimum(reach, np.abs(torque))
+        share = {"none": 0.0, "opposing": 1.0}.get(friction)
+        if share is None:
+            share = draw.uniform(-1, 1, torque.shape)
+        d = np.einsum("pcj,pj->pc", J[:, :3], (torque - share * lost) * c)
+        d += wrench[:, :3] / flange + 5e-6 * draw.normal(size=d.shape)
+        fit = fit_joint_stiffness(robot, q, wrench, d, noise="absolute")
+        if friction == "opposing" or (friction == "none" and np.isfinite(flange)):
+            assert fit.has_friction
+            assert "a spring behind them were fitted" in " ".join(fit.notes)
+        known = fit.identifiable
+        low, high = fit.stiffness_interval[known].T
+        held += ((low < 1 / c[known]) & (1 / c[known] < high)).tolist()
+        off = (fit.compliance - c)[known] / fit.compliance_errors[known]
+        ratio += off.tolist()
+    assert np.mean(held) >= 0.85
+    # Stated over actual error.
+    assert 0.7 < 1 / np.sqrt(np.mean(np.square(ratio))) < 2.5

@@ -50,7 +50,7 @@ def registered(feed, teeth, first_tooth, seed, noise):
     grid = spacing * (0.5 + np.arange(12 * 240))
     unit = np.stack([force(grid, feed, teeth, one) for one in np.eye(6)], axis=2)
     columns = identification.EngagementColumns(
-        grid[0], spacing, unit, np.zeros((len(grid), 3))
+        grid[0], spacing, unit, np.zeros((len(grid), 3)), np.zeros_like(unit)
     )
     time = 4 * TURN + np.arange(0, 6 * TURN, 1.03e-4)
     seen = force(time + first_tooth * TURN / teeth, feed, teeth)

@@ -2,6 +2,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from references.trochoid import TrochoidCut
 
 from diffmill import cutting, process
 
@@ -35,6 +36,28 @@ def test_the_chip_tends_to_feed_times_sine():
     assert errors[0] < 0.025
     # First order in f / R.
     np.testing.assert_allclose(np.array(errors[:-1]) / errors[1:], 2, rtol=0.05)
+
+
+@pytest.mark.parametrize("teeth", [1, 2, 5])
+def test_the_chip_is_that_of_trochoids(teeth):
+    """Right to the third order of the feed: what is left falls by 16 for half of it."""
+    phi = np.linspace(0.1, 3.0, 30)
+    exact, two_circles, moved = [], [], []
+    for feed in (2e-4, 1e-4, 5e-5):
+        cut = TrochoidCut(np.zeros(6), feed, 1e-3, 600.0, R, teeth)
+        exact.append(cut.chip(phi, np.array(R), [np.array(R)]))
+        offset = jnp.array([-feed, 0.0, 0.0])
+        chip = lambda turn, u=offset: process.circle_chip(
+            R, u, jnp.asarray(phi), 0.0, turn
+        )
+        two_circles.append(chip(0.0))
+        moved.append(chip(teeth / (2 * np.pi)))
+    left = [np.abs(h - e).max() for h, e in zip(moved, exact, strict=True)]
+    np.testing.assert_allclose(np.array(left[:-1]) / left[1:], 16, rtol=0.1)
+    # What two circles alone leave is f N cos(phi) / (2 pi R) of the chip.
+    off = two_circles[-1] - exact[-1]
+    expected = 5e-5**2 * teeth * np.sin(phi) * np.cos(phi) / (2 * np.pi * R)
+    np.testing.assert_allclose(off, expected, atol=0.05 * expected.max())
 
 
 def test_a_missed_circle_is_what_it_is_told_to_be_and_has_no_gradient():

@@ -449,17 +449,27 @@ def test_inclined_plane_lies_above_the_tip_by_its_depth():
 @pytest.mark.parametrize("is_up", [True, False])
 @pytest.mark.parametrize("radial_depth", [10e-3, 7e-3, 1e-3, 0.1e-3])
 @pytest.mark.parametrize("feed", [0.0125e-3, 0.2e-3])
-def test_chips_are_cut_off_by_the_free_surface(radial_depth, feed, is_up):
-    cut = circles.Cut(feed, radial_depth, is_up, R)
-    # All but a sliver, where the circles cross at the end of the leading side.
+@pytest.mark.parametrize("is_trochoidal", [False, True])
+def test_chips_are_cut_off_by_the_free_surface(
+    radial_depth, feed, is_up, is_trochoidal
+):
+    cut = circles.Cut(feed, radial_depth, is_up, R, is_trochoidal=is_trochoidal)
+    # All but a sliver, where the paths cross at the end of the leading side.
     sliver = feed**2 / (8 * R * radial_depth)
-    area = circles.chip_area(cut) / (feed * radial_depth)
+    area = circles.swept_area(cut) / (feed * radial_depth)
     np.testing.assert_allclose(area, 1, rtol=0, atol=sliver + 2e-5)
     stock = halfspaces.slot(1e-3)
     if radial_depth < 2 * R:
         stock = halfspaces.shoulder(1e-3, radial_depth, R, is_up_milling=is_up)
     law = dataclasses.replace(LAW, K_ac=0.0, K_ae=0.0)
     found = marching.mean_force(
-        flat(), law, stock, feed * ALONG, UP, steps=5760, elements=1
+        flat(),
+        law,
+        stock,
+        feed * ALONG,
+        UP,
+        steps=5760,
+        elements=1,
+        is_trochoidal=is_trochoidal,
     )
     assert relative(found, circles.mean_force(law, cut, 1e-3)) < 3e-3

@@ -83,6 +83,9 @@ def cut(path, stock, cutter, axis=None, **options):
     return solution
 
 
+on_trochoids = functools.partial(marching.mean_force, is_trochoidal=True)
+
+
 def steady(solution):
     return np.asarray(solution.force)[STEADY:].mean(axis=0)
 
@@ -97,7 +100,7 @@ def depth_of(kind, axis, depth):
 @pytest.mark.parametrize("kind", ["ball", pytest.param("bull", marks=pytest.mark.slow)])
 def test_slots_match_the_reference(kind):
     found = steady(cut(line([-0.3e-3, 0.04e-3, -1e-3]), BLOCK, mill(kind)))
-    wanted = marching.mean_force(
+    wanted = on_trochoids(
         tool(kind), REFERENCE, halfspaces.slot(1e-3), FEED * ALONG, UP
     )
     assert relative(found, wanted) < 2e-2
@@ -124,7 +127,7 @@ def test_tilted_tools_match_the_reference(kind, degrees, azimuth):
             axis,
         )
     )
-    wanted = marching.mean_force(
+    wanted = on_trochoids(
         tool(kind),
         REFERENCE,
         halfspaces.half_space(UP, 0.0),
@@ -143,7 +146,7 @@ def test_a_tilted_ball_that_cuts_next_to_nothing_matches_the_reference():
     path = line(tip + np.array([-0.3e-3, 0.04e-3, 0]))
     found = steady(cut(path, BLOCK_FOR_TILTED, mill("ball"), axis))
     stock = halfspaces.half_space(UP, 0.0)
-    wanted = marching.mean_force(
+    wanted = on_trochoids(
         tool("ball"), REFERENCE, stock, FEED * ALONG, axis, tip=tip, steps=1440
     )
     assert relative(found, wanted) < 1e-2
@@ -157,7 +160,7 @@ def test_uneven_teeth_in_a_narrow_cut_match_the_reference(is_up):
     y = low - R + radial if is_up else high + R - radial
     mill = ct.flat_end_mill(2 * R, 3, pitch=np.array([1.9, 2.1, 2 * math.pi - 4.0]))
     found = steady(cut(line([-0.3e-3, y, -1e-3]), BLOCK, mill))
-    wanted = marching.mean_force(
+    wanted = on_trochoids(
         tool("flat", tooth_angles=(0.0, 1.9, 4.0)),
         REFERENCE,
         halfspaces.shoulder(1e-3, radial, R, is_up_milling=is_up),
@@ -199,7 +202,7 @@ def test_a_ball_on_an_inclined_plane_matches_the_reference(direction):
     start = (R - depth) * plane.pieces[0].normals[0] - R * UP
     path = line(start - 10 * feed, feed)
     found = steady(cut(path, wedge(slope, direction), mill("ball")))
-    wanted = marching.mean_force(
+    wanted = on_trochoids(
         tool("ball"), REFERENCE, plane, feed, UP, tip=path[STEADY:].mean(axis=0)
     )
     assert relative(found, wanted) < 2e-2
@@ -223,7 +226,12 @@ def test_helix_matches_the_reference_at_every_instant(depth, options):
         keeps_instantaneous=True,
     )
     force = marching.force_over_revolution(
-        tool("flat", **options), REFERENCE, halfspaces.slot(depth), FEED * ALONG, UP
+        tool("flat", **options),
+        REFERENCE,
+        halfspaces.slot(depth),
+        FEED * ALONG,
+        UP,
+        is_trochoidal=True,
     )
     assert relative(steady(solution), force.mean(axis=0)) < 5e-3
     found = np.asarray(solution.instantaneous_force)[STEADY:]
@@ -260,7 +268,7 @@ def pitch(first):
 def test_teeth_that_differ_match_the_reference(options, same):
     path = line([-0.3e-3, 0.04e-3, -1e-3])
     found = steady(cut(path, BLOCK, mill("flat", **options)))
-    wanted = marching.mean_force(
+    wanted = on_trochoids(
         tool("flat", **same), REFERENCE, halfspaces.slot(1e-3), FEED * ALONG, UP
     )
     assert relative(found, wanted) < 2e-2

@@ -7,6 +7,17 @@ finds the material down to where an earlier circle, shifted by u, ended:
 
 The chip is the least of these over all earlier poses, so it follows regeneration over
 several teeth and is zero where the tool left the cut.
+
+The earlier tooth met the ray along e not a whole turn Theta between the teeth ago, but
+where it stood at phi + delta, since its axis was shifted across the ray:
+
+    R delta = -u.t,  t = (cos phi, -sin phi),  and u is that of Theta - delta:
+    u = u_Theta (1 - delta / Theta) = u_Theta / (1 - u_Theta.t / (R Theta)),
+
+u_Theta the shift when that tooth stood at phi. So teeth go on trochoids, to the third
+order of the feed over R. Of a straight cut with N teeth, Theta = 2 pi / N,
+
+    h = f sin(phi) (1 - f N cos(phi) / (2 pi R)) + f^2 cos(phi)^2 / (2 R) + O(f^3).
 """
 
 import math
@@ -26,6 +37,8 @@ _STANDSTILL = 1e-8
 _AT_REST = 3e-6
 # From this share of the way on an edge cuts with its side.
 _ASIDE = 0.02
+# The turn between two teeth counts as longer or shorter by no more than this share.
+_LARGEST_LEAD = 0.5
 
 
 class RadialDirection(eqx.Module):
@@ -64,22 +77,28 @@ def circle_chip(
     offset: Float[Array, " 3"],
     immersion_angle: Float[Array, "*sample"],
     if_missed: RealScalarLike,
+    inverse_turn: RealScalarLike = 0.0,
 ) -> Float[Array, "*sample"]:
-    """Return the thickness that one earlier circle leaves along a tooth's radius.
+    """Chip thickness that one earlier circle leaves along a tooth's radius.
 
     Args:
         radius: Radius R of both circles [m], shape ().
-        offset: Earlier tool center minus the present one [m], shape (3,).
+        offset: Tool center when the earlier tooth stood at the same angle, minus the
+            present one [m], shape (3,).
         immersion_angle: Angles phi of the tooth [rad], any shape.
         if_missed: Thickness where the radius misses the earlier circle [m].
+        inverse_turn: 1 / Theta, of the angle between the two teeth [1/rad], shape ();
+            0 for an earlier tool that stood still.
 
     Returns:
         Chip thickness [m], not clipped: negative where the earlier circle reaches
         beyond the present one.
 
-    Differentiability: smooth; constant where the circle is missed, no NaN there.
+    Differentiability: smooth but where the tool moves by half a radius or more in
+    Theta; constant where the circle is missed, no NaN there.
     """
-    return chip_along(radius, offset, RadialDirection.of(immersion_angle), if_missed)
+    outward = RadialDirection.of(immersion_angle)
+    return chip_along(radius, offset, outward, if_missed, inverse_turn)
 
 
 def chip_along(
@@ -87,6 +106,7 @@ def chip_along(
     offset: Float[Array, " 3"],
     outward: RadialDirection,
     if_missed: RealScalarLike,
+    inverse_turn: RealScalarLike = 0.0,
 ) -> Float[Array, "*sample"]:
     """Chip thickness as of `circle_chip`, along directions that are known.
 
@@ -95,6 +115,7 @@ def chip_along(
         offset: As of `circle_chip`.
         outward: Directions of the tooth, any shape.
         if_missed: As of `circle_chip`.
+        inverse_turn: As of `circle_chip`.
 
     Returns:
         As of `circle_chip`.
@@ -104,10 +125,37 @@ def chip_along(
     sin, cos = outward.sin, outward.cos
     along = offset[0] * sin + offset[1] * cos
     sideways = offset[0] * cos - offset[1] * sin
+    share = travel_share(sideways / radius, inverse_turn)
+    along, sideways = along * share, sideways * share
     square = jnp.asarray(radius) ** 2 - sideways**2
     is_met = square > 0
     root = jnp.sqrt(jnp.where(is_met, square, 1.0))
     return jnp.where(is_met, radius - along - root, if_missed)
+
+
+def travel_share(
+    sideways: Float[Array, "*sample"],
+    inverse_turn: RealScalarLike | Float[Array, "*#sample"],
+) -> Float[Array, "*sample"]:
+    """Share of the travel per tooth that had come since an earlier tooth met the ray.
+
+        1 - delta / Theta = 1 / (1 - u.t / (R Theta))
+
+    # symbols: u offset of the earlier axis, t direction of the cut, R radius, Theta
+    angle between the two teeth, delta what the earlier one had turned further
+
+    Args:
+        sideways: u.t / R, of the axis when the earlier tooth stood at this angle [rad],
+            any shape.
+        inverse_turn: 1 / Theta [1/rad], broadcast.
+
+    Returns:
+        The share [-], any shape, from 2/3 to 2.
+
+    Differentiability: smooth but at both limits, which a tool reaches that moves by
+    its radius in a turn.
+    """
+    return 1 / (1 - clamp(-_LARGEST_LEAD, sideways * inverse_turn, _LARGEST_LEAD))
 
 
 def layer_share(

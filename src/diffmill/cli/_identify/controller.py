@@ -2,6 +2,8 @@
 
 import functools
 
+import numpy as np
+
 from ...identification import ControllerStudy
 from ...viz import plot_prediction
 from .reading import note_lines, range_text
@@ -41,6 +43,19 @@ def report(study: ControllerStudy, result: ControllerStudy.Fit) -> Report:
             toml.append(f"damping_ratio = {number}        # +- {error}")
         late = Rounded.of(1e3 * result.dead_time, 1e3 * errors["dead_time"])
         toml.append(f'dead_time = "{late.value} ms"      # +- {late.error}')
+    elif not result.are_servos_alike:
+        toml = ["# No bandwidth: the servos of the axes differ; see summary.txt."]
+        each = ", ".join(
+            f"{axis} {value:.3g} Hz"
+            for axis, value in zip("xyz", result.bandwidth_by_axis, strict=True)
+            if np.isfinite(value)
+        )
+        lines += noted(
+            "One servo for all axes does not suit this record: each axis alone would "
+            f"have {each}. A job takes one bandwidth for all joints; look at the gains "
+            "of the servos, or at what else bends the path.",
+            "warning",
+        )
     else:
         toml = ["# No bandwidth: this path does not show it; see summary.txt."]
         lines += noted(
@@ -56,6 +71,8 @@ def report(study: ControllerStudy, result: ControllerStudy.Fit) -> Report:
         "dead_time_s": result.dead_time,
         "standard_errors": errors,
         "is_identifiable": result.is_identifiable,
+        "bandwidth_by_axis_Hz": result.bandwidth_by_axis,
+        "are_servos_alike": result.are_servos_alike,
         "residual_rms_m": result.residual_rms,
         "notes": list(study.notes),
     }

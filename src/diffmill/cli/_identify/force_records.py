@@ -25,7 +25,7 @@ from .report import (
     correlation_lines,
     noted,
 )
-from .toml_snippets import NOISE_ALONE, cutter_toml, fitted_force_toml
+from .toml_snippets import NOT_IN_ERRORS, cutter_toml, fitted_force_toml
 
 
 def report(study: ForceRecordStudy, result: ForceRecordStudy.Fit) -> Report:
@@ -72,7 +72,11 @@ def _fit_lines(study: ForceRecordStudy, result: ForceRecordStudy.Fit) -> list[st
             fit.identifiable,
         ),
     ]
-    lines += noted(NOISE_ALONE)
+    lines += noted(
+        "The standard errors hold noise, coloured or not, what repeats with the teeth "
+        "and is not in the model, and the simulation's rays and angles; not "
+        f"{NOT_IN_ERRORS}."
+    )
     for name, value in fit.refined.items():
         text = f"{1e6 * value:.3g}" if np.isfinite(value) else "not identifiable"
         lines.append(f"{name:14}{text:>12}{1e6 * fit.refined_errors[name]:12.2g}  um")

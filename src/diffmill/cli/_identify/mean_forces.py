@@ -25,7 +25,7 @@ from .report import (
     force_on_text,
     noted,
 )
-from .toml_snippets import NOISE_ALONE, fitted_force_toml
+from .toml_snippets import NOT_IN_ERRORS, fitted_force_toml
 
 
 def report(study: MeanForceStudy, result: MeanForceStudy.Fit) -> Report:
@@ -174,7 +174,11 @@ def _fit_lines(result: MeanForceStudy.Fit) -> list[str]:
         *coefficient_lines(
             fit.coefficients, fit.coefficients, fit.standard_errors, fit.identifiable
         ),
-        *noted(NOISE_ALONE),
+        *noted(
+            "The standard errors are those of the scatter about the lines: they hold "
+            "neither an offset, which goes into the coefficients of the edges, nor "
+            f"{NOT_IN_ERRORS}."
+        ),
         "the lines explain "
         + ", ".join(
             f"{share:.2%} of F{axis}"

@@ -20,9 +20,10 @@ _LARGEST = 0.999
 # The simulated chip is off by so much of itself, see docs/verified.md: the noise of a
 # long record is less.
 _LEAST_FORCE_ERROR = 0.01
-NOISE_ALONE = (
-    "The standard errors are those of noise. The chip of the model is known to about "
-    "1 % of itself, which is more of the edge coefficients: 5 to 10 % of a small one."
+# What intervals of coefficients do not hold.
+NOT_IN_ERRORS = (
+    "what acts like a coefficient: the gain of a channel, a wrong depth, diameter or "
+    "speed"
 )
 _FORCE_REMARK = (
     "noise of the records, at least 1 % for the simulation: a worn tool, another batch "

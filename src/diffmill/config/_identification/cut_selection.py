@@ -110,8 +110,10 @@ def tare_of(
     one = before or after
     if one is None:
         notes.append(
-            "No section without a cut was found: no offset was removed, and one that "
-            "the record has goes into the edge coefficients. Name one by `tare`."
+            "No section without a cut was found: no offset was removed. Of a whole "
+            "record it is fitted, and hides K_ae where an edge is always in the cut; "
+            "of mean forces it goes into the edge coefficients. Name a section by "
+            "`tare`."
         )
         return None
     notes.append(

@@ -57,6 +57,8 @@ def force_settings(table: FitTable) -> ForceSettings:
         lowpass=table.lowpass,
         refines_speed=table.refine_speed,
         force_on=table.force_on,
+        has_offset=table.has_offset,
+        has_drift=table.has_drift,
     )
 
 

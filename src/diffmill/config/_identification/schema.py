@@ -157,6 +157,16 @@ class FitTable(TomlTable):
         description="cut-off frequency of a low-pass for both measured and simulated "
         'forces, such as "2 kHz"; none if left out',
     )
+    has_offset: StrictBool | None = Field(
+        default=None,
+        description="whether a constant force of every channel is fitted, too; if left "
+        "out only of records without a tare",
+    )
+    has_drift: StrictBool | None = Field(
+        default=None,
+        description="whether a slope of every channel is fitted, too; if left out of "
+        "records without tare_after, or a section found behind the cut",
+    )
     refine_speed: StrictBool = Field(
         default=True,
         description="true: the speed in straight cuts is taken from the record",

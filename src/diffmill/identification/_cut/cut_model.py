@@ -8,6 +8,7 @@ derivatives by the coefficients gives all six columns C_i, for any path.
 import dataclasses
 import math
 from collections.abc import Callable
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -30,9 +31,12 @@ from ...process import (
 from ...sim import simulate_process
 from ...workpiece import Stock
 
-# Samples per revolution, those for a path of more steps than so many, and elements
-# along the axis at most.
-_ANGLES, _ANGLES_OF_LONG, _LONG, _ELEMENTS = 240, 180, 3000, 16
+# Samples per revolution for paths of up to so many steps, and elements along the axis
+# at most.
+_ANGLES = {200: 480, 3000: 240, 10**9: 180}
+_ELEMENTS = 16
+# How many times coarser the second simulation is, by which the first is judged.
+_COARSER = 2
 # Samples per revolution by whose turn the default element may lag.
 _DEFAULT_ANGLES = 180
 
@@ -79,22 +83,25 @@ class EngagementColumns(eqx.Module):
         columns: Force on the tool in `work` per coefficient, in the order of `NAMES`
             [m^2 or m], shape (sample, 3, 6).
         constant: Force that does not depend on them [N], shape (sample, 3).
+        refinement: What half as many angles and rays change of the columns, a measure
+            of their discretisation error; shape (sample, 3, 6).
     """
 
     start: float
     spacing: float
     columns: Float[np.ndarray, "sample 3 6"]
     constant: Float[np.ndarray, "sample 3"]
+    refinement: Float[np.ndarray, "sample 3 6"]
 
     @classmethod
     def of_cut(cls, process_or_job: Cut | Job) -> "EngagementColumns":
-        """Force of a cut per unit of every coefficient, by one simulation.
+        """Force of a cut per unit of every coefficient, by two simulations.
 
         Args:
             process_or_job: The cut, or a job, of which the desired path is cut.
 
         Returns:
-            The columns, at the angle samples of the simulation.
+            The columns, at the angle samples of the finer simulation.
 
         Raises:
             SimulationFailed: The simulation ran out of intervals or of its window.
@@ -103,20 +110,46 @@ class EngagementColumns(eqx.Module):
         differentiates.
         """
         cut = cut_of(process_or_job)
-        linear = _columns(cut)
-        columns, constant = linear.slopes, linear.force
-        if linear.result != RESULTS.successful:
-            raise SimulationFailed(RESULTS[linear.result])
-        count = columns.shape[1]
-        spacing = cut.tooth_period / count
-        rows = np.asarray(columns[1:], np.float64).reshape(-1, 3, 6)
-        # Row k holds the period that ends at instant k.
-        return cls(
-            start=0.5 * spacing,
-            spacing=spacing,
-            columns=rows,
-            constant=np.asarray(constant[1:], np.float64).reshape(-1, 3),
-        )
+        fine, coarse = _sampled(cut), _sampled(coarser(cut))
+        time = fine.start + fine.spacing * np.arange(len(fine.columns))
+        before = at_times(coarse.columns, coarse.start, coarse.spacing, time)
+        return cls(*fine, refinement=fine.columns - before)
+
+
+class _Sampled(NamedTuple):
+    """Force of one simulation of a cut, as `EngagementColumns`."""
+
+    start: float
+    spacing: float
+    columns: Float[np.ndarray, "sample 3 6"]
+    constant: Float[np.ndarray, "sample 3"]
+
+
+def _sampled(cut: Cut) -> _Sampled:
+    """Force of a cut by one simulation."""
+    linear = _columns(cut)
+    if linear.result != RESULTS.successful:
+        raise SimulationFailed(RESULTS[linear.result])
+    spacing = cut.tooth_period / linear.slopes.shape[1]
+    # Row k holds the period that ends at instant k.
+    columns = np.asarray(linear.slopes[1:], np.float64).reshape(-1, 3, 6)
+    constant = np.asarray(linear.force[1:], np.float64).reshape(-1, 3)
+    return _Sampled(0.5 * spacing, spacing, columns, constant)
+
+
+def coarser(cut: Cut) -> Cut:
+    """Cut with half as many rays and angles.
+
+    Args:
+        cut: The cut, with a plan.
+    """
+    stock, plan = cut.stock, cut.engagement
+    assert plan is not None
+    step = _COARSER
+    families = jax.tree.map(lambda x: x[::step, ::step], stock.families)
+    stock = dataclasses.replace(stock, families=families, spacing=step * stock.spacing)
+    coarse = dataclasses.replace(cut, stock=stock, engagement=None)
+    return with_plan(coarse, angles=plan.angles // step)
 
 
 def cut_of(process_or_job: Cut | Job) -> Cut:
@@ -152,7 +185,9 @@ def cut_of(process_or_job: Cut | Job) -> Cut:
     return cut if cut.engagement is not None else with_plan(cut)
 
 
-def with_plan(cut: Cut, cutter: AbstractCutter | None = None) -> Cut:
+def with_plan(
+    cut: Cut, cutter: AbstractCutter | None = None, angles: int | None = None
+) -> Cut:
     """Cut with sizes that suit identification, for its cutter or another.
 
     Finer than for a prediction of mean forces: the waveform counts, and an element of a
@@ -162,6 +197,8 @@ def with_plan(cut: Cut, cutter: AbstractCutter | None = None) -> Cut:
     Args:
         cut: The cut.
         cutter: The cutter to put in its place, if any.
+        angles: Samples per revolution; by the length of the path if not given, and
+            those of its plan if it has one.
 
     Returns:
         The cut with a plan.
@@ -173,7 +210,8 @@ def with_plan(cut: Cut, cutter: AbstractCutter | None = None) -> Cut:
     if axes is not None and np.allclose(axes, [0.0, 0.0, 1.0], atol=1e-9):
         axes = None
     old = cut.engagement
-    usual = _ANGLES_OF_LONG if len(cut.positions) > _LONG else _ANGLES
+    usual = next(n for steps, n in _ANGLES.items() if len(cut.positions) <= steps)
+    usual = usual if angles is None else angles
     angles = usual if old is None else old.angles
     depth, plunges = Immersion.of_path(cut.positions, cut.stock, cutter)
     height = default_element_height("near_far", cut.stock.spacing, cutter)

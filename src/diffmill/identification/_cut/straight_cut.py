@@ -14,9 +14,9 @@ Side = Literal["slot", "up", "down"]
 
 # Tooth periods after which a cut that begins within the stock repeats itself.
 SETTLED = 12
-# Pitch of the rays over the radius, and the least number of rays across the depth. Half
-# the pitch moves the coefficients of a slot by 0.1 %, 1.4 times as much by 6 %.
-_PITCH, _LEAST = 1 / 20, 3
+# Pitch of the rays over the radius, and the least number of rays across the depth.
+# Twice the pitch moves coefficients of a slot by 0.1 %, those of its edges by 0.5 %.
+_PITCH, _LEAST = 1 / 40, 6
 
 
 @dataclasses.dataclass(frozen=True)

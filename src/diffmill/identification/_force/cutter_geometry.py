@@ -4,7 +4,8 @@ Unlike the coefficients they move the chip itself, so the cut is simulated anew 
 every step of a Gauss-Newton iteration; the derivatives pass through the simulation.
 Coefficients, time shifts and lengths take every step together, by the same robust fit
 as the coefficients alone; a step that raises the cost is halved, and where none lowers
-it the iteration ends.
+it the iteration ends. It takes the coarser simulation; one step of the finer one, from
+there, ends it.
 """
 
 import dataclasses
@@ -22,12 +23,20 @@ from .._cut.cut_model import (
     CutForce,
     EngagementColumns,
     LinearForce,
+    at_times,
+    coarser,
     instantaneous_force,
     linear_force,
     with_plan,
 )
-from .._statistics.robust_regression import LinearFit, Loss, Rows, fit_rows
-from .regression_rows import RegisteredRecord, equations, shift_part
+from .._statistics.robust_regression import LinearFit, Loss, fit_rows
+from .regression_rows import (
+    RegisteredRecord,
+    baseline_part,
+    equations,
+    shift_part,
+    with_baselines,
+)
 from .tooth_alignment import LinearisedRecord, with_common_teeth
 
 LENGTHS = ("runout", "radius")
@@ -100,22 +109,18 @@ def fit_cutter_geometry(
     start = x = np.array([lengths.get(name, 0.0) for name in names])
     is_runout_known = "runout" not in refine
     has_teeth = not is_runout_known or has_runout(cutter)
-    K = fit_rows([equations(one, ()) for one in records], loss).x
-    state = [_simulated(one, names, x, K) for one in records]
+    K = fit_rows(with_baselines(records), loss).x[:6]
+    state = [
+        _simulated(dataclasses.replace(one, cut=coarser(one.cut)), names, x, K)
+        for one in records
+    ]
     has_converged = False
     for _ in range(_STEPS):
         if is_sought and has_teeth and len(state) > 1:
             state = with_common_teeth(
                 state, K, shift_range, is_runout_known=is_runout_known
             )
-        current = [one.record for one in state]
-        rows = [
-            equations(
-                one.record, (one.columns(), *shift_part(current, i, K, is_sought))
-            )
-            for i, one in enumerate(state)
-        ]
-        fit = fit_rows(rows, loss)
+        fit = _linear_fit(state, K, loss, is_sought)
         K = fit.x[:6]
         step, trial = _stepped(state, names, x, fit, is_sought)
         has_converged = bool(np.abs(step).max() < _SHORTEST_STEP)
@@ -124,6 +129,14 @@ def fit_cutter_geometry(
         x, state = x + step, trial
         if has_converged:
             break
+    state = [
+        _simulated(dataclasses.replace(one, shift=coarse.record.shift), names, x, K)
+        for one, coarse in zip(records, state, strict=True)
+    ]
+    if has_converged:
+        fit = _linear_fit(state, K, loss, is_sought)
+        step, trial = _stepped(state, names, x, fit, is_sought)
+        x, state = (x, state) if trial is None else (x + step, trial)
     columns = [one.columns() for one in state]
     return CutterGeometry(
         {n: float(v) for n, v in zip(names, x, strict=True)},
@@ -132,6 +145,28 @@ def fit_cutter_geometry(
         has_converged,
         _have_moved(names, x - start, columns, has_runout(cutter) and has_converged),
     )
+
+
+def _linear_fit(
+    state: list[LinearisedRecord],
+    K: np.ndarray,
+    loss: Loss,
+    is_sought: bool,
+) -> LinearFit:
+    """Fit of coefficients, lengths, offsets and time shifts in linear form."""
+    records = [one.record for one in state]
+    rows = [
+        equations(
+            one.record,
+            (
+                one.columns(),
+                *baseline_part(records, i),
+                *shift_part(records, i, K, is_sought),
+            ),
+        )
+        for i, one in enumerate(state)
+    ]
+    return fit_rows(rows, loss)
 
 
 def _have_moved(
@@ -169,7 +204,7 @@ def _stepped(
     count = len(names)
     step = fit.x[6 : 6 + count]
     step = step * min(1.0, _LONGEST_STEP / max(float(np.abs(step).max()), 1e-300))
-    shifts = fit.x[6 + count :] if is_sought else np.zeros(len(state))
+    shifts = fit.x[-len(state) :] if is_sought else np.zeros(len(state))
     most = _ALIKE * _own_cost(state, fit)
     for share in 0.5 ** np.arange(_HALVINGS + 1):
         try:
@@ -192,8 +227,7 @@ def _own_cost(state: list[LinearisedRecord], fit: LinearFit) -> float:
 
     The lengths and shifts are those of the simulation, not of its linear form.
     """
-    rows: list[Rows] = [equations(one.record, ()) for one in state]
-    alone = fit_rows(rows, "huber")
+    alone = fit_rows(with_baselines([one.record for one in state]), "huber")
     squares = [
         float(np.nansum(np.minimum(np.abs(r), 5 * s[None]) ** 2))
         for r, s in zip(alone.residual, fit.spread, strict=True)
@@ -226,7 +260,11 @@ def _simulated(
     F = np.asarray(linear.force[1:], np.float64).reshape(-1, 3)
     spacing = one.cut.tooth_period / linear.force.shape[1]
     constant = F - J[:, :, :6] @ K
-    engagement = EngagementColumns(0.5 * spacing, spacing, J[:, :, :6], constant)
+    # A few micrometres of the cutter change little of its discretisation error.
+    old, start = one.engagement, 0.5 * spacing
+    instants = start + spacing * np.arange(len(constant))
+    refinement = at_times(old.refinement, old.start, old.spacing, instants)
+    engagement = EngagementColumns(start, spacing, J[:, :, :6], constant, refinement)
     cutter = cutter_with(base.cutter, names, jnp.asarray(lengths, dtype))
     moved = dataclasses.replace(
         one, cut=dataclasses.replace(one.cut, cutter=cutter), engagement=engagement

@@ -36,10 +36,13 @@ from .regression_rows import (
     RegisteredRecord,
     Source,
     Times,
+    baseline_part,
     equations,
     find_shift,
     measured_records,
+    refinement_force,
     shift_part,
+    with_baselines,
 )
 from .tooth_alignment import LinearisedRecord, with_common_teeth
 
@@ -55,6 +58,11 @@ _DEAD, _EXPECTED = 1e-3, 0.01
 _EXPLAINED = 0.8
 # Rows of a record by which its channels are checked.
 _CHECKED = 20000
+# Error of the simulation over what half as many rays and angles change of it: a third
+# where it falls with the square of their number, all of it where it falls with that.
+_LEFT = 1.0
+# An offset or a drift is told from this share of the force on.
+_TOLD = 0.01
 # A length is known if its standard error is below this [m].
 _LARGEST_LENGTH_ERROR = 1e-5
 
@@ -76,9 +84,10 @@ class ForceCoefficientFit(eqx.Module):
 
     Attributes:
         coefficients: By name, cutting [Pa] and edge [N/m]; NaN if not identifiable.
-        standard_errors: By name, same units; infinite if nothing is known. Of the
-            noise: the simulation's own error, some tenths of a percent for the default
-            sizes, counts beside them in records of many thousand samples.
+        standard_errors: By name, same units; infinite if nothing is known. Of noise,
+            white or coloured, of what repeats with the teeth and is not in the model,
+            and of the simulation's rays and angles; not of what acts like a
+            coefficient, as the gain of a channel, and not of a wrong depth or speed.
         correlation: Between the coefficients in the order of `NAMES`, shape (6, 6);
             NaN where nothing is known.
         identifiable: By name: whether the records fix the coefficient.
@@ -91,6 +100,9 @@ class ForceCoefficientFit(eqx.Module):
         axes: Which recorded force is which force of the work, with its sign.
         time_shift: Time of each cut minus time of its record [s].
         time_shift_errors: Standard errors [s]; 0 where the shift was given.
+        offset: Constant force of each channel of each record, at the middle of the
+            record, in axes of the work [N], shape (record, 3); 0 where it was known.
+        drift: Its slope [N/s], likewise; without an offset from the first instant on.
         refined: What else was fitted, by name: `runout_x`, `runout_y` (offset of the
             cutter towards tooth 0 and a quarter turn on), `radius` [m]; NaN if not
             identifiable.
@@ -101,7 +113,8 @@ class ForceCoefficientFit(eqx.Module):
             coefficients implausible; nothing was changed.
         doubts: Reasons to doubt the numbers, in words; the first of the notes.
         notes: What to know, in words: which experiment would help.
-        records: The records as fitted, in the axes of the work.
+        records: The records as fitted, in the axes of the work, without `offset` and
+            `drift`.
         raw: The six numbers as fitted, identifiable or not [Pa, N/m], shape (6,).
     """
 
@@ -116,6 +129,8 @@ class ForceCoefficientFit(eqx.Module):
     axes: Axes = eqx.field(static=True)
     time_shift: tuple[float, ...]
     time_shift_errors: tuple[float, ...]
+    offset: Float[np.ndarray, "record 3"]
+    drift: Float[np.ndarray, "record 3"]
     refined: dict[str, float]
     refined_errors: dict[str, float]
     has_converged: bool
@@ -207,6 +222,8 @@ def fit_force_coefficients(
     loss: Loss = "huber",
     refine: Sequence[str] = (),
     lowpass: float | None = None,
+    has_offset: bool | Sequence[bool] = True,
+    has_drift: bool | Sequence[bool] = True,
 ) -> ForceCoefficientFit:
     """Fit the six coefficients of the linear force law to measured forces.
 
@@ -230,6 +247,11 @@ def fit_force_coefficients(
             derivatives; shared by all records, which share the cutter then.
         lowpass: Cut-off [Hz] of `numerics.lowpass`, which measured and modelled force
             pass both, as against the dynamometer's own vibration; none if not given.
+        has_offset: Whether every channel may have a constant of its own, which is
+            fitted; false where a tare was removed. One, or one per record. Where an
+            edge is always in the cut, K_ae cannot be told from an offset.
+        has_drift: Whether it may have a slope of its own, likewise; without an offset
+            it is zero at the first instant.
 
     Returns:
         The fit; look at `.notes`.
@@ -239,7 +261,16 @@ def fit_force_coefficients(
         SimulationFailed: The cut could not be simulated.
     """
     _check_names(axes, loss, refine)
-    records = measured_records(process_or_job, time, force, axes, time_shift, lowpass)
+    records = measured_records(
+        process_or_job,
+        time,
+        force,
+        axes,
+        time_shift,
+        lowpass,
+        has_offset=has_offset,
+        has_drift=has_drift,
+    )
     is_sought = time_shift is None
     if is_sought:
         records = [find_shift(one, shift_range) for one in records]
@@ -257,7 +288,7 @@ def _with_given_teeth(
     records: list[RegisteredRecord], shift_range: float | None
 ) -> list[RegisteredRecord]:
     """Records in which the tooth that stands out is that of the cutter."""
-    K = fit_rows([equations(one, ()) for one in records], "squares").x
+    K = fit_rows(with_baselines(records), "squares").x[:6]
     alone = [
         LinearisedRecord(one, np.zeros((len(one.engagement.columns), 3, 0)))
         for one in records
@@ -280,11 +311,15 @@ def _settle(refined: CutterGeometry, is_sought: bool, loss: Loss) -> _Settled:
     """Fit everything in linear form, and move the time shifts until they converge."""
     records = refined.records
     # Only the slope of the force takes these: gross errors hardly matter.
-    K = fit_rows([equations(one, ()) for one in records], "squares").x
+    K = fit_rows(with_baselines(records), "squares").x[:6]
     rows, fit = [], None
     for _ in range(_SHIFT_STEPS if is_sought else 1):
         extra = [
-            (*(() if more is None else (more,)), *shift_part(records, i, K, is_sought))
+            (
+                *(() if more is None else (more,)),
+                *baseline_part(records, i),
+                *shift_part(records, i, K, is_sought),
+            )
             for i, more in enumerate(refined.columns)
         ]
         rows = [equations(one, e) for one, e in zip(records, extra, strict=True)]
@@ -308,9 +343,15 @@ def _report(
 ) -> ForceCoefficientFit:
     """Fit with its errors, by name."""
     records, rows, fit = settled.records, settled.rows, settled.fit
-    C = covariance(rows, fit, settled.loss)
-    K, errors = fit.x[:6], np.sqrt(np.diagonal(C))
+    K, count, more = fit.x[:6], len(records), len(refined.values)
     known = [np.isfinite(one.force) for one in rows]
+    model_error = [
+        np.where(k, _LEFT * refinement_force(one, K), 0.0)
+        for one, k in zip(records, known, strict=True)
+    ]
+    C = covariance(rows, fit, settled.loss, model_error)
+    errors = np.sqrt(np.diagonal(C))
+    records, offset, drift = _without_baselines(records, fit.x[6 + more :])
     seen = np.concatenate([k.reshape(-1) for k in known])
     is_gross = seen & _gross_errors(fit)
     seen &= ~is_gross
@@ -327,7 +368,6 @@ def _report(
     is_fixed = identifiable(C[:6, :6], size, rms)
     correlation = correlation_of(C)[:6, :6]
     is_measured = np.any(np.concatenate(known), axis=0)
-    count, more = len(records), len(refined.values)
     names = list(refined.values)
     lengths, spreads = np.array(list(refined.values.values())), errors[6 : 6 + more]
     has_moved = np.array(list(refined.has_moved.values()), bool)
@@ -346,6 +386,8 @@ def _report(
         time_shift_errors=tuple(
             errors[-count:].tolist() if settled.is_sought else [0.0] * count
         ),
+        offset=offset,
+        drift=drift,
         refined={
             n: float(v) if ok else math.nan
             for n, v, ok in zip(names, lengths, is_known, strict=True)
@@ -364,6 +406,7 @@ def _report(
             *doubts,
             *(text for text, is_doubtful in dead.items() if not is_doubtful),
             *_lost_notes(records, int(is_gross.sum())),
+            *_baseline_notes(records, offset, drift, rms),
             *advise(is_fixed, correlation, size, is_measured),
             *_refined_notes(
                 refined,
@@ -375,6 +418,57 @@ def _report(
         records=tuple(records),
         raw=K,
     )
+
+
+def _without_baselines(
+    records: list[RegisteredRecord], x: Float[np.ndarray, " unknown"]
+) -> tuple[
+    list[RegisteredRecord],
+    Float[np.ndarray, "record 3"],
+    Float[np.ndarray, "record 3"],
+]:
+    """Records less their offsets and drifts, and both [N, N/s].
+
+    Args:
+        records: The records.
+        x: Unknowns from those of the offsets on, in the order of `baseline_part`.
+    """
+    offset, drift = np.zeros((2, len(records), 3))
+    clean = []
+    for i, one in enumerate(records):
+        terms = one.baseline()
+        own, x = x[: 3 * terms.shape[1]].reshape(3, -1), x[3 * terms.shape[1] :]
+        clean.append(dataclasses.replace(one, force=one.force - terms @ own.T))
+        length = float(one.time[-1] - one.time[0]) / (1 + one.has_offset)
+        if one.has_offset:
+            offset[i] = own[:, 0]
+        if one.has_drift:
+            drift[i] = own[:, -1] / length
+    return clean, offset, drift
+
+
+def _baseline_notes(
+    records: list[RegisteredRecord],
+    offset: Float[np.ndarray, "record 3"],
+    drift: Float[np.ndarray, "record 3"],
+    rms: float,
+) -> tuple[str, ...]:
+    """Sentences about offsets and drifts that were fitted and are not small."""
+    notes = []
+    for i, one in enumerate(records):
+        change = drift[i] * float(one.time[-1] - one.time[0])
+        of = f" of record {i + 1}" if len(records) > 1 else ""
+        if max(np.abs(offset[i]).max(), np.abs(change).max()) > _TOLD * rms:
+            parts = [
+                f"({', '.join(f'{v:.3g}' for v in values)}) {unit}"
+                for values, unit in ((offset[i], "N"), (drift[i], "N/s"))
+            ]
+            notes.append(
+                f"Offset {parts[0]} and drift {parts[1]} of x, y, z of the work{of} "
+                "were fitted beside the coefficients: a tare would tell them apart "
+                "from the forces of the edges."
+            )
+    return tuple(notes)
 
 
 def _class_notes(K_tc: float) -> tuple[str, ...]:

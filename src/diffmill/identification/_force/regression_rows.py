@@ -46,6 +46,9 @@ class RegisteredRecord(eqx.Module):
         saturated: How many samples were left out as saturated.
         lowpass: Cut-off that `force` has passed [Hz], and what is modelled
             passes too; None for none.
+        has_offset: Whether every channel may have a constant of its own.
+        has_drift: Whether it may have a slope of its own; without an offset it is
+            zero at the first instant.
     """
 
     cut: Cut
@@ -55,11 +58,23 @@ class RegisteredRecord(eqx.Module):
     shift: float
     saturated: int = 0
     lowpass: float | None = None
+    has_offset: bool = False
+    has_drift: bool = False
 
     @property
     def revolution(self) -> float:
         """Time of one turn of the spindle [s]."""
         return self.cut.tooth_period * self.cut.cutter.flute_count
+
+    def baseline(self) -> Float[np.ndarray, "row term"]:
+        """Terms of a channel's offset and drift, shape (row, term); of size 1 each."""
+        first, last = self.time[0], self.time[-1]
+        terms = np.ones((len(self.time), int(self.has_offset)))
+        if not self.has_drift:
+            return terms
+        since = (self.time - first) / (last - first)
+        line = 2 * since - 1 if self.has_offset else since
+        return np.column_stack([terms, line])
 
 
 def equations(one: RegisteredRecord, extra: Sequence[np.ndarray]) -> Rows:
@@ -81,13 +96,35 @@ def equations(one: RegisteredRecord, extra: Sequence[np.ndarray]) -> Rows:
     is_inside = (when >= edge) & (when <= one.cut.duration - edge)
     step = float(np.median(np.diff(one.time)))
     lag = max(1, round(one.revolution / step))
+    cutter = one.cut.cutter
+    period = one.cut.tooth_period if cutter.has_even_pitch else one.revolution
     columns = np.concatenate([columns, *extra], axis=2)
     if one.lowpass is not None:
         both = np.concatenate([columns, constant[:, :, None]], axis=2)
         both = filtered(one.time, one.force, both, one.lowpass)
         columns, constant = both[:, :, :-1], both[:, :, -1]
     force = np.where(is_inside[:, None], one.force - constant, np.nan)
-    return Rows(columns, force, lag)
+    return Rows(columns, force, lag, np.mod(when / period, 1.0))
+
+
+def refinement_force(
+    one: RegisteredRecord, K: Float[np.ndarray, " 6"]
+) -> Float[np.ndarray, "row 3"]:
+    """Change of the modelled force by half as many angles and rays [N].
+
+    Args:
+        one: The record.
+        K: Coefficients, shape (6,).
+
+    Returns:
+        The change, shape (row, 3).
+    """
+    engagement, when = one.engagement, one.time + one.shift
+    change = engagement.refinement @ K
+    change = at_times(change, engagement.start, engagement.spacing, when)
+    if one.lowpass is None:
+        return change
+    return filtered(one.time, one.force, change[:, :, None], one.lowpass)[:, :, 0]
 
 
 def filtered(
@@ -175,6 +212,35 @@ def shift_part(
     return (part,)
 
 
+def baseline_part(
+    records: Sequence[RegisteredRecord], index: int
+) -> tuple[np.ndarray, ...]:
+    """Columns of offsets and drifts in the equations of one record.
+
+    Args:
+        records: All records.
+        index: The one.
+
+    Returns:
+        One array of shape (row, 3, unknown), channel by channel of each record, or
+        nothing.
+    """
+    counts = [3 * one.baseline().shape[1] for one in records]
+    if not sum(counts):
+        return ()
+    terms = records[index].baseline()
+    part = np.zeros((len(terms), 3, sum(counts)))
+    first, size = sum(counts[:index]), terms.shape[1]
+    for axis in range(3):
+        part[:, axis, first + axis * size : first + (axis + 1) * size] = terms
+    return (part,)
+
+
+def with_baselines(records: Sequence[RegisteredRecord]) -> list[Rows]:
+    """Equations of records for the six coefficients, offsets and drifts."""
+    return [equations(one, baseline_part(records, i)) for i, one in enumerate(records)]
+
+
 def find_shift(one: RegisteredRecord, shift_range: float | None) -> RegisteredRecord:
     """Record with the time shift that suits its cut best.
 
@@ -220,7 +286,8 @@ def find_shift(one: RegisteredRecord, shift_range: float | None) -> RegisteredRe
         )
 
     def cost(shift: float) -> float:
-        row = equations(dataclasses.replace(few, shift=float(shift)), ())
+        moved = dataclasses.replace(few, shift=float(shift))
+        (row,) = with_baselines([moved])
         known = np.isfinite(row.force)
         x = solve([row], [known.astype(np.float64)])
         return float(np.nansum((row.force - row.columns @ x) ** 2))
@@ -246,6 +313,9 @@ def measured_records(
     axes: Axes,
     time_shift: float | Sequence[float] | None,
     cutoff: float | None = None,
+    *,
+    has_offset: bool | Sequence[bool] = False,
+    has_drift: bool | Sequence[bool] = False,
 ) -> list[RegisteredRecord]:
     """Records with their cuts, each cut simulated.
 
@@ -256,6 +326,8 @@ def measured_records(
         axes: For each axis of the work the recorded one.
         time_shift: [s], one or one per record, or None for 0.
         cutoff: Of a low-pass for both sides [Hz], or None.
+        has_offset: Whether channels may have an offset, one or one per record.
+        has_drift: Whether they may drift, likewise.
 
     Returns:
         The records.
@@ -272,14 +344,23 @@ def measured_records(
         shifts = [float(time_shift or 0.0)] * len(cuts)
     else:
         shifts = [float(shift) for shift in time_shift]
-    if not len(cuts) == len(times) == len(forces) == len(shifts) > 0:
+    offsets, drifts = (
+        [has] * len(cuts) if isinstance(has, bool) else list(has)
+        for has in (has_offset, has_drift)
+    )
+    lists = (cuts, times, forces, shifts, offsets, drifts)
+    if len({len(one) for one in lists}) > 1 or not cuts:
         raise ValueError(
-            "Lists of cuts, times, forces and shifts must have the same length, but "
-            f"have {len(cuts)}, {len(times)}, {len(forces)} and {len(shifts)}."
+            "Lists of cuts, times, forces, shifts, offsets and drifts must have the "
+            f"same length, but have {', '.join(str(len(one)) for one in lists)}."
         )
     return [
-        _measured(cut, t, f, axes, shift, cutoff)
-        for cut, t, f, shift in zip(cuts, times, forces, shifts, strict=True)
+        dataclasses.replace(
+            _measured(cut, t, f, axes, shift, cutoff),
+            has_offset=offset,
+            has_drift=drift,
+        )
+        for cut, t, f, shift, offset, drift in zip(*lists, strict=True)
     ]
 
 

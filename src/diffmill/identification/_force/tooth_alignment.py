@@ -22,7 +22,12 @@ from .._statistics.robust_regression import (
     inverse_normal,
     normal_equations,
 )
-from .regression_rows import RegisteredRecord, equations, force_slope
+from .regression_rows import (
+    RegisteredRecord,
+    baseline_part,
+    equations,
+    force_slope,
+)
 
 # Another tooth must leave less than this share of the square: teeth that are alike
 # leave the same, but for the rays of the stock.
@@ -68,20 +73,23 @@ class _Square:
     whole: float
 
     @classmethod
-    def of_rows(cls, rows: Rows, weight: Float[np.ndarray, "row 3"]) -> "_Square":
-        """Square of a record at the best small shift, the last unknown.
+    def of_rows(
+        cls, rows: Rows, weight: Float[np.ndarray, "row 3"], shared: int
+    ) -> "_Square":
+        """Square of a record at its best offset, drift and small shift.
 
         Args:
-            rows: Its equations.
+            rows: Its equations, these unknowns behind the coefficients and lengths.
             weight: [1/N^2]; zero where nothing was measured.
+            shared: How many coefficients and lengths there are.
         """
         G, g = normal_equations([rows], [weight])
         whole = float(np.sum(weight * np.nan_to_num(rows.force) ** 2))
-        u = G[:-1, -1] / max(float(G[-1, -1]), 1e-300)
-        matrix = G[:-1, :-1] - np.outer(u, G[-1, :-1])
-        return cls(
-            matrix, g[:-1] - u * g[-1], whole - g[-1] ** 2 / max(G[-1, -1], 1e-300)
-        )
+        own, _ = inverse_normal(G[shared:, shared:])
+        U = G[:shared, shared:] @ own
+        matrix = G[:shared, :shared] - U @ G[shared:, :shared]
+        right = g[:shared] - U @ g[shared:]
+        return cls(matrix, right, whole - float(g[shared:] @ own @ g[shared:]))
 
     def without_lengths(self) -> "_Square":
         """Square that the six coefficients alone leave."""
@@ -164,10 +172,18 @@ def _squares(
     """Square of a record at each time shift, over the same samples."""
     moved = [one.later(shift - one.record.shift) for shift in shifts]
     rows = [
-        equations(m.record, (m.columns(), force_slope(m.record, K)[:, :, None]))
+        equations(
+            m.record,
+            (
+                m.columns(),
+                *baseline_part([m.record], 0),
+                force_slope(m.record, K)[:, :, None],
+            ),
+        )
         for m in moved
     ]
     known = np.all([np.isfinite(row.force) for row in rows], axis=0)
     spread = fit_rows(rows[:1], "huber").spread[0]
     weight = known / spread[None] ** 2
-    return [_Square.of_rows(row, weight) for row in rows]
+    shared = 6 + one.slopes.shape[2]
+    return [_Square.of_rows(row, weight, shared) for row in rows]

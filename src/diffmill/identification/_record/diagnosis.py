@@ -49,5 +49,10 @@ class Diagnosis(eqx.Module):
 
     @property
     def is_grave(self) -> bool:
-        """True if coefficients are wrong by it."""
-        return self.code in _GRAVE
+        """True if coefficients are wrong by it.
+
+        A line at the spindle's frequency is that where no run-out was fitted: teeth of
+        unlike length begin and end their chips elsewhere.
+        """
+        is_unfitted = self.code == "spindle_line" and not self.values["is_fitted"]
+        return is_unfitted or self.code in _GRAVE

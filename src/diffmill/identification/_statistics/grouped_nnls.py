@@ -7,6 +7,15 @@ Regression and Outlier Detection, 1987): of many fits to few groups each, the on
 suits the better half of all best; it stands even if many are wrong. Every group is
 then compared with what the others predict for it, by an F test that allows for their
 number, which holds for few groups too.
+
+Rows of a group share what the model leaves out. So a variance is the larger of that of
+independent rows and of the jackknife over groups, with residuals e_g, columns A_g and
+H_g = A_g (A^T A)^-1 A_g^T:
+
+    sum_g d_g d_g^T (n - 1) / n,  d_g = (A^T A)^-1 A_g^T (1 - H_g)^-1 e_g
+
+Reference: Bell and McCaffrey, Bias reduction in standard errors for linear regression
+with multi-stage samples, Survey Methodology 28, 2002.
 """
 
 import itertools
@@ -186,7 +195,7 @@ def _robust(
     estimate = _solve(A[is_right], b[is_right], is_free)
     return GroupFit(
         estimate.x,
-        estimate.covariance,
+        _larger(estimate.covariance, _jackknife(A[is_right], b[is_right], estimate.x)),
         values - columns @ estimate.x,
         ~is_right,
         estimate.spread,
@@ -217,6 +226,32 @@ def _solve(A: Columns, b: Values, is_free: Bool[np.ndarray, " unknown"]) -> _Est
     spread = math.sqrt(square / freedom) if freedom > 0 else math.inf
     with np.errstate(invalid="ignore"):
         return _Estimate(x, inverse * spread**2, spread)
+
+
+def _jackknife(
+    A: Columns, b: Values, x: Float[np.ndarray, " unknown"]
+) -> Float[np.ndarray, "unknown unknown"]:
+    """Covariance of the unknowns by leaving out one group after the other."""
+    is_known = np.isfinite(b)
+    A = np.where(is_known[..., None], A, 0.0)
+    off = np.where(is_known, b - A @ x, 0.0)
+    inverse, _ = inverse_information(A.reshape(-1, A.shape[2]))
+    inverse = np.where(np.isfinite(inverse), inverse, 0.0)
+    leverage = A @ inverse @ np.swapaxes(A, 1, 2)
+    away = np.linalg.pinv(np.eye(b.shape[1])[None] - leverage) @ off[..., None]
+    change = np.squeeze(inverse @ np.swapaxes(A, 1, 2) @ away, -1)
+    return change.T @ change * (len(b) - 1) / len(b)
+
+
+def _larger(
+    C: Float[np.ndarray, "unknown unknown"], other: Float[np.ndarray, "unknown unknown"]
+) -> Float[np.ndarray, "unknown unknown"]:
+    """Covariance with the larger of two variances, and correlations of the first."""
+    own = np.diagonal(C)
+    is_known = np.isfinite(own) & (own > 0)
+    safe = np.where(is_known, own, 1.0)
+    rise = np.sqrt(np.where(is_known, np.maximum(np.diagonal(other) / safe, 1.0), 1.0))
+    return C * rise[:, None] * rise[None]
 
 
 def _group_squares(A: Columns, b: Values, x: Float[np.ndarray, " unknown"]):

@@ -3,10 +3,18 @@
 Weights come from two sources. The scatter of each force of each record, by its median,
 makes the forces comparable; a robust loss (Huber, or Tukey's biweight, which forgets
 gross errors altogether) gives less to samples that are off. Standard errors are those
-of an estimating equation with correlated scores: Newey and West, Econometrica 55
-(1987), with Bartlett weights over a revolution of the spindle; where the residual is
-anticorrelated, as the error of a simulation is that repeats every revolution, they
-are not made smaller than those of independent samples.
+of an estimating equation with correlated scores s, A of the unknowns' slopes:
+
+    C = A^-1 M A^-1,  M the largest of these, unknown by unknown:
+    independent samples           sum_i s_i s_i^T
+    coloured noise                sum_ij k(t_i - t_j) s_i s_j^T
+    errors of the model by phase  sum_ij k(p_i - p_j) s_i s_j^T, over all records
+
+with Bartlett weights k over a revolution of the spindle in time (Newey and West,
+Econometrica 55, 1987), and over a twentieth and a sixth of the tooth period in the
+phase p (clusters by phase: Liang and Zeger, Biometrika 73, 1986). The third one does
+not fall with the length of a record: what the model cannot represent comes again with
+every tooth. The error of a simulation, known by a coarser one, adds what it changes.
 """
 
 import math
@@ -28,6 +36,9 @@ _ITERATIONS = 30
 _REGULAR = 1e-11
 # Sums over lags need some that are independent.
 _BLOCKS = 30
+# Phases of a tooth period, and over how many of them the error of a model is alike:
+# where a tooth enters, and over a wave of the force.
+_PHASES, _ALIKE = 120, (6, 20)
 
 
 class Rows(eqx.Module):
@@ -38,11 +49,14 @@ class Rows(eqx.Module):
         force: Measured force less what is known [N], shape (row, 3); NaN where it was
             not measured.
         lag: Rows over which scores may be correlated.
+        phase: Place of each row in the period with which a model's error repeats, from
+            0 to 1, shape (row,); None if it does not repeat.
     """
 
     columns: Float[np.ndarray, "row 3 unknown"]
     force: Float[np.ndarray, "row 3"]
     lag: int = eqx.field(static=True)
+    phase: Float[np.ndarray, " row"] | None = None
 
 
 class LinearFit(eqx.Module):
@@ -262,7 +276,10 @@ def _spread(residual: np.ndarray, force: np.ndarray) -> np.ndarray:
 
 
 def covariance(
-    rows: Sequence[Rows], fit: LinearFit, loss: Loss
+    rows: Sequence[Rows],
+    fit: LinearFit,
+    loss: Loss,
+    model_error: Sequence[Float[np.ndarray, "row 3"]] = (),
 ) -> Float[np.ndarray, "unknown unknown"]:
     """Covariance of the unknowns; infinite where one is not fixed.
 
@@ -270,32 +287,57 @@ def covariance(
         rows: Equations of each record, linearised where they are not linear.
         fit: The fit.
         loss: Its loss.
+        model_error: By how much the model may be off in each record [N], shape (row, 3)
+            each: a standard deviation, in this shape or its reverse.
 
     Returns:
         Covariance, shape (unknown, unknown).
     """
     width = rows[0].columns.shape[2]
-    bread, meat, white = np.zeros((3, width, width))
-    for one, weight, residual, s in zip(
-        rows, fit.weights, fit.residual, fit.spread, strict=True
+    bread, coloured, white = np.zeros((3, width, width))
+    by_phase, change = np.zeros((_PHASES, width)), np.zeros(width)
+    for i, (one, weight, residual, s) in enumerate(
+        zip(rows, fit.weights, fit.residual, fit.spread, strict=True)
     ):
         size = np.abs(np.nan_to_num(residual / s[None], nan=math.inf))
         stiff = _SLOPES[loss](size) / s[None] ** 2
         stiff = np.where(np.isfinite(residual), stiff, 0.0)
         flat = one.columns.reshape(-1, width)
-        bread += (flat * stiff.reshape(-1, 1)).T @ flat
+        stiff_flat = flat * stiff.reshape(-1, 1)
+        bread += stiff_flat.T @ flat
         score = np.einsum("tcu,tc->tu", one.columns, weight * np.nan_to_num(residual))
         white += score.T @ score
-        meat += _bartlett(score, one.lag)
+        coloured += _bartlett(score, one.lag)
+        if one.phase is not None:
+            place = np.minimum((one.phase * _PHASES).astype(np.int64), _PHASES - 1)
+            np.add.at(by_phase, place, score)
+        if model_error:
+            change += stiff_flat.T @ model_error[i].reshape(-1)
     inverse, is_fixed = inverse_normal(bread)
     safe = np.where(is_fixed[:, None] & is_fixed[None], inverse, 0.0)
-    result, least = safe @ meat @ safe, safe @ white @ safe
-    own, floor = np.diagonal(result), np.diagonal(least)
-    rise = np.sqrt(np.maximum(floor, own) / np.where(own > 0, own, 1.0))
-    rise = np.where(own > 0, rise, 1.0)
-    result = result * rise[:, None] * rise[None]
-    result[np.diag_indices(width)] = np.where(is_fixed, np.maximum(own, floor), np.inf)
+    result, *others = (
+        safe @ meat @ safe
+        for meat in (coloured, white, *(_around(by_phase, width) for width in _ALIKE))
+    )
+    own = np.diagonal(result)
+    largest = np.max([np.diagonal(one) for one in (result, *others)], axis=0)
+    rise = np.sqrt(np.where(own > 0, largest / np.where(own > 0, own, 1.0), 1.0))
+    shift = safe @ change
+    result = result * rise[:, None] * rise[None] + np.outer(shift, shift)
+    largest = largest + shift**2
+    result[np.diag_indices(width)] = np.where(is_fixed, largest, np.inf)
     return result
+
+
+def _around(score: np.ndarray, width: int) -> np.ndarray:
+    """Sum of score products with weights 1 - |phase difference| / width, cyclic."""
+    count = len(score)
+    lags = np.arange(count)
+    lags = np.minimum(lags, count - lags)
+    # Eigenvalues of the circular weights; that of Bartlett's is nowhere negative.
+    power = np.fft.fft(np.maximum(1 - lags / width, 0.0)).real
+    turned = np.fft.fft(score, axis=0)
+    return np.real((turned.T * power) @ turned.conj()) / count
 
 
 def _bartlett(score: np.ndarray, lag: int) -> np.ndarray:

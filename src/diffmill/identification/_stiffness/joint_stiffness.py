@@ -3,6 +3,12 @@
 The tool moves by d = sum_i c_i J_i (J_i^T w): linear in the compliances c_i = 1 / K_i,
 each a number that cannot be negative. The share of gravity and load in the stiffness,
 some per mille on an industrial arm, is left out as in `robot.cartesian_compliance`.
+
+Friction of a joint holds back a part of its torque tau_i, and what yields behind the
+joints, as a flange, moves the tool by c_f F. Where the table shows them, by an F test,
+both are fitted beside the springs, with unknowns f_i and c_f:
+
+    d = sum_i (c_i tau_i - f_i sign(tau_i)) J_i + c_f F,  tau_i = J_i^T w
 """
 
 from collections.abc import Sequence
@@ -35,6 +41,10 @@ _EXPLAINED = 0.7
 _OUTLIERS = 0.3
 # A column smaller than this share of the largest is rounding.
 _ROUNDING = 1e-9
+# Friction and a flange that yields are fitted if chance makes their part of the
+# displacement as large once in so many tables, and there are so many numbers per
+# unknown.
+_BY_CHANCE, _NUMBERS = 0.05, 3
 
 
 class JointStiffnessFit(eqx.Module):
@@ -65,6 +75,8 @@ class JointStiffnessFit(eqx.Module):
         residual: Measured minus fitted displacement, shape (pose, component).
         offset: Constant displacement that was fitted too, in base axes, shape
             (component,), or None.
+        has_friction: Whether friction and a spring behind the joints were fitted too,
+            since the table shows them.
         noise: "absolute" or "relative" (to the displacement), the likelier scatter.
         spread: Standard deviation of one displacement of median size [m]; infinite if
             there are no more numbers than unknowns.
@@ -86,6 +98,7 @@ class JointStiffnessFit(eqx.Module):
     is_consistent: bool
     residual: Float[np.ndarray, "pose component"]
     offset: Float[np.ndarray, " component"] | None
+    has_friction: bool
     noise: str = eqx.field(static=True)
     spread: float
     joint_names: tuple[str, ...] = eqx.field(static=True)
@@ -163,17 +176,31 @@ def fit_joint_stiffness(
     constant = constant_columns(moved, displacement_frame)
     if not has_offset:
         constant = constant[:, :, :0]
-    is_free = np.arange(robot.joint_count + constant.shape[2]) >= robot.joint_count
     wide = np.concatenate([columns, constant], axis=2)
+    is_free = np.arange(wide.shape[2]) >= robot.joint_count
     fit = fit_groups(wide, moved, is_free, noise=noise)
-    # Where too many rows contradict, all of them count.
-    used = ~fit.is_outlier | _contradicts(fit)
-    centred = moved - constant @ fit.x[robot.joint_count :]
-    square = float(np.nansum(centred[used] ** 2))
-    left = float(np.nansum(fit.residual[used] ** 2))
-    explained = 1.0 - left / max(square, 1e-300)
-    axes = better_axes(columns_of, load, centred, explained, load_frame)
-    table = _Explained(columns[used], centred[used], explained, min_explained, axes)
+    yielding = _yielding_columns(robot, angles, load, displacement_frame)
+    yielding = yielding[:, : moved.shape[1]] * scale[None, :, None]
+
+    def explained(fit: GroupFit, constant: Columns, has_friction: bool) -> _Explained:
+        # Where too many rows contradict, all of them count.
+        used = ~fit.is_outlier | _contradicts(fit)
+        centred = moved - constant @ fit.x[robot.joint_count :]
+        square = float(np.nansum(centred[used] ** 2))
+        left = float(np.nansum(fit.residual[used] ** 2))
+        share = 1.0 - left / max(square, 1e-300)
+        axes = better_axes(columns_of, load, centred, share, load_frame)
+        return _Explained(
+            columns[used], centred[used], share, min_explained, axes, has_friction
+        )
+
+    table = explained(fit, constant, False)
+    # In wrong axes friction would explain what springs do not.
+    if table.is_suited and not _contradicts(fit):
+        fit, has_friction = _with_friction(fit, wide, is_free, yielding, moved)
+        if has_friction:
+            constant = np.concatenate([constant, yielding], axis=2)
+            table = explained(fit, constant, True)
     return _report(robot, table, fit, scale, max_relative_error)
 
 
@@ -185,6 +212,12 @@ class _Explained(NamedTuple):
     share: float
     least: float
     axes: AxesCheck
+    has_friction: bool
+
+    @property
+    def is_suited(self) -> bool:
+        """True if enough is explained, and no other axes explain much more."""
+        return self.share >= self.least and self.axes.better is None
 
 
 def deflection_columns(
@@ -211,6 +244,77 @@ def deflection_columns(
     # A force through a joint's axis turns it by rounding only.
     columns = np.where(size > _ROUNDING * size.max(initial=0.0), columns, 0.0)
     return _in_axes(columns, frame)
+
+
+def _yielding_columns(
+    robot: Robot,
+    q: Float[np.ndarray, "pose joint"],
+    wrench: Float[np.ndarray, "pose 6"],
+    frame: Turns | None,
+) -> Float[np.ndarray, "pose 6 unknown"]:
+    """Displacement of the tool per friction of each joint, and of what is behind them.
+
+    Args:
+        robot: The robot.
+        q: Joint positions [rad or m], shape (pose, joint).
+        wrench: Load on the tool in base axes [N, N m], shape (pose, 6).
+        frame: Rotations into base of the axes of the result, None for base.
+
+    Returns:
+        -J_i sign(tau_i) of joints that the load turns, and F, (pose, 6, joint + 1).
+    """
+    J = np.asarray(_jacobians(robot, jnp.asarray(q, robot.dtype)), np.float64)
+    torque = np.einsum("pcj,pc->pj", J, wrench)
+    is_turned = np.abs(torque) > _ROUNDING * np.abs(torque).max(initial=0.0)
+    friction = -J * (np.sign(torque) * is_turned)[:, None]
+    force = np.pad(wrench[:, :3], ((0, 0), (0, 3)))
+    return _in_axes(np.concatenate([friction, force[..., None]], axis=2), frame)
+
+
+def _with_friction(
+    fit: GroupFit,
+    columns: Columns,
+    is_free: Bool[np.ndarray, " unknown"],
+    yielding: Float[np.ndarray, "group row yielding"],
+    moved: Values,
+) -> tuple[GroupFit, bool]:
+    """Fit with friction and a flange that yields, if the table shows them.
+
+    Args:
+        fit: The fit without.
+        columns: Its columns, shape (pose, component, unknown).
+        is_free: Which of its unknowns may be negative, shape (unknown,).
+        yielding: Columns of friction and flange, likewise.
+        moved: Displacements, shape (pose, component).
+
+    Returns:
+        The fit, and whether it has them.
+    """
+    from scipy.stats import f as f_distribution
+
+    used = ~fit.is_outlier
+    weight = fit.weights[used, None]
+    known = np.isfinite(moved[used]).reshape(-1)
+    right = (moved[used] * weight).reshape(-1)[known]
+
+    def left(wide: Float[np.ndarray, "pose component any"]) -> tuple[float, int]:
+        rows = (wide[used] * weight[..., None]).reshape(-1, wide.shape[2])[known]
+        size = np.linalg.norm(rows, axis=0)
+        rows = rows / np.where(size > 0, size, 1.0)
+        x, _, rank, _ = np.linalg.lstsq(rows, right, rcond=_ROUNDING)
+        return float(np.sum((right - rows @ x) ** 2)), int(rank)
+
+    both = np.concatenate([columns, yielding], axis=2)
+    (before, few), (after, many) = left(columns), left(both)
+    freedom = len(right) - many
+    if many == few or len(right) < _NUMBERS * both.shape[2]:
+        return fit, False
+    exact = 1e-20 * float(np.sum(right**2))
+    ratio = (before - after) / (many - few) / max(after / freedom, exact)
+    if f_distribution.sf(ratio, many - few, freedom) > _BY_CHANCE:
+        return fit, False
+    is_free = np.append(is_free, np.ones(yielding.shape[2], bool))
+    return fit_groups(both, moved, is_free, noise=fit.noise), True
 
 
 def constant_columns(moved: Values, frame: Turns | None) -> Columns:
@@ -308,12 +412,13 @@ def _report(
     count = robot.joint_count
     c = fit.x[:count]
     errors = np.sqrt(np.diagonal(fit.covariance)[:count])
-    offset = fit.x[count:] if len(fit.x) > count else None
+    yielding = (count + 1) * table.has_friction
+    offset = fit.x[count : len(fit.x) - yielding]
+    offset = offset if offset.size else None
     too_many = _contradicts(fit)
     parts = np.nansum(columns * moved[..., None], axis=(0, 1))
     square = float(np.nansum(moved**2))
-    is_suited = explained >= table.least and table.axes.better is None
-    is_consistent = is_suited and not too_many
+    is_consistent = table.is_suited and not too_many
     freedom = max(1, int(np.isfinite(moved).sum()) - len(fit.x))
     given, bounded = (stdtrit(freedom, 0.5 + 0.5 * p) for p in (_GIVEN, _BOUNDED))
     is_fixed = (
@@ -338,6 +443,7 @@ def _report(
         is_consistent=is_consistent,
         residual=fit.residual / scale[None],
         offset=None if offset is None else offset / scale,
+        has_friction=table.has_friction,
         noise=fit.noise,
         spread=fit.spread,
         joint_names=robot.joint_names,
@@ -355,6 +461,11 @@ def _notes(
     axes, explained, least = table.axes, table.share, table.least
     too_many = _contradicts(fit)
     notes = []
+    if table.has_friction:
+        notes.append(
+            "Friction of the joints and a spring behind them were fitted beside the "
+            "springs, since the table shows them; intervals are wider by that."
+        )
     if explained < least:
         notes.append(
             f"The joints' springs explain {max(explained, 0):.0%} of the squared "

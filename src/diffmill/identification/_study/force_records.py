@@ -101,6 +101,18 @@ class ForceRecordStudy:
                 loss=settings.loss,  # pyright: ignore[reportArgumentType]
                 refine=settings.refine,
                 lowpass=settings.lowpass,
+                has_offset=[
+                    not one.knows_offset
+                    if settings.has_offset is None
+                    else settings.has_offset
+                    for one in self.records
+                ],
+                has_drift=[
+                    not one.knows_drift
+                    if settings.has_drift is None
+                    else settings.has_drift
+                    for one in self.records
+                ],
             )
         except ValueError as error:
             raise StudyError(f"{self.name}: {error}") from error

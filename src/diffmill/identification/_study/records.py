@@ -53,6 +53,16 @@ class ForceRecord:
         time = self.record.time
         return (time >= self.start) & (time <= self.stop)
 
+    @property
+    def knows_offset(self) -> bool:
+        """Whether a tare has shown the offset."""
+        return self.tare is not None
+
+    @property
+    def knows_drift(self) -> bool:
+        """Whether a tare before and behind the cut has shown the drift."""
+        return self.tare is not None and bool(np.any(self.tare.drift != 0))
+
     def samples(
         self,
     ) -> tuple[Float[np.ndarray, " row"], Float[np.ndarray, "row 3"]]:
@@ -139,6 +149,10 @@ class ForceSettings:
             record.
         force_on: "workpiece" if the recorded forces were those on it, and have been
             reversed; "tool"; None if the file does not say.
+        has_offset: Whether channels may have an offset of their own; None for those of
+            records without a tare.
+        has_drift: Whether they may drift; None for those of records whose tare does
+            not tell it.
     """
 
     axes: tuple[str, str, str] | None
@@ -149,3 +163,5 @@ class ForceSettings:
     lowpass: float | None
     refines_speed: bool
     force_on: str | None = None
+    has_offset: bool | None = None
+    has_drift: bool | None = None

@@ -35,6 +35,7 @@ from .._chip import (
     rounded_corner,
     safe_norm,
     sideways_share,
+    travel_share,
 )
 from .._process import AbstractEngagement, Process, Substeps, rotation_angles
 from .._state import ProcessState, RemovedVolume
@@ -52,6 +53,8 @@ from .upright import check_updates
 
 # Elements nearer to the axis than this share of the radius count as standing there.
 _LEAST_SINE = 0.02
+# Elements nearer to the axis turn about it as if they were so far off it [m].
+_LEAST_RADIUS = 1e-6
 
 
 class EdgeDiscretisation(eqx.Module):
@@ -369,10 +372,16 @@ class EdgeElementsInSpace(AbstractEngagement):
         per_travel = chip / displacement_norm(newest - pose.tip)
         descent = jnp.full_like(chip[..., :n], nothing)
         covered = jnp.zeros(descent.shape, bool)
+        turns = 2 * math.pi / cutter.flute_count * cutter.delays(chip.dtype)
+        inverse_turns = 1 / jnp.asarray(turns)
         for k in range(1, cutter.flute_count + 1):
             old = _of_samples(earlier[k - 1], tooth)
             # Teeth stand out by their run-out: what one takes the next does not find.
             sides = old if old.tip.shape[2] == 1 else old[:, :, n:]
+            inverse_turn = inverse_turns[k - 1, 0]
+            if not cutter.has_even_pitch:
+                inverse_turn = inverse_turns[k - 1][tooth[..., n:]]
+            sides = _where_met(elements, pose, samples.outward, sides, inverse_turn)
             left = _walk(cutter, points[..., n:, :], normals[..., n:, :], sides, 2)
             if offsets is not None:
                 ahead = offsets - jnp.roll(offsets, -k, axis=0)
@@ -419,6 +428,38 @@ def _lead(
         elements.cos_kappa[None, None],
     )
     return sin_kappa * (outward.sin * x + outward.cos * y) - cos_kappa * z
+
+
+def _where_met(
+    elements: EdgeElements,
+    pose: Pose,
+    outward: RadialDirection,
+    old: Pose,
+    inverse_turn: Float[Array, "*#sample"],
+) -> Pose:
+    """Poses when earlier teeth met the normals of the side and the corner.
+
+    Args:
+        elements: The edge elements, those of the bottom first.
+        pose: Pose of the tool, shape (3,).
+        outward: Directions of all samples, shape (angle, leading, element).
+        old: Poses when they stood at the same angle, broadcast against
+            (angle, leading, side, 3).
+        inverse_turn: 1 / Theta, of the angle between the teeth [1/rad], broadcast.
+
+    Returns:
+        The poses, shape (angle, leading, side, 3).
+    """
+    n = elements.bottom_count
+    offset = old.tip - pose.tip[None, None, None]
+    # In tool axes; t = (cos, -sin, 0).
+    x, y, _ = jnp.moveaxis(offset @ Pose.frame(pose.direction()), -1, 0)
+    radius = jnp.maximum(elements.radius[n:], _LEAST_RADIUS)[None, None]
+    sideways = (x * outward.cos[..., n:] - y * outward.sin[..., n:]) / radius
+    share = travel_share(sideways, inverse_turn)[..., None]
+    return eqx.tree_at(
+        lambda p: p.tip, old, pose.tip[None, None, None] + offset * share
+    )
 
 
 def _walk(

@@ -258,7 +258,13 @@ def _chip(
     if_missed = jnp.where(
         is_older, jnp.asarray(2 * cutter.nominal_radius, tip.dtype), 0
     )
-    left = jax.vmap(chip_along, (None, 0, None, 0))(R, offsets, outward, if_missed)
+    # When older circles were swept is not known.
+    inverse_turns = np.zeros(len(offsets))
+    teeth = np.arange(1, cutter.flute_count + 1)
+    inverse_turns[: cutter.flute_count] = cutter.flute_count / (2 * math.pi * teeth)
+    left = jax.vmap(chip_along, (None, 0, None, 0, 0))(
+        R, offsets, outward, if_missed, jnp.asarray(inverse_turns, tip.dtype)
+    )
     shares = jax.vmap(layer_share, (0, None, None))(offsets[:, 2], lower, discs.height)
     left, shares, inverse = materialise(
         (left, shares[:, None, None], 1 / displacement_norm(offsets[:, :2]))
