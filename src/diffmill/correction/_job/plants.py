@@ -84,12 +84,13 @@ class TipPlant(AbstractHostPlant):
         """Linear system around a command."""
         kinematics, command = JobKinematics(self.job), jnp.asarray(command)
         joints, _ = kinematics.joints(command)
-        return linear_job(
-            self.job,
+        found = linear_job(
+            _with_round_gaps(self.job),
             kinematics.motor_positions_from_joints(joints),
             kinematics.motor_slopes(joints, command),
             self.wall_share,
         )
+        return _about_sharp_gaps(self, found, command)
 
 
 class ScaledPlant(AbstractUncertainPlant):
@@ -162,7 +163,31 @@ class JointPlant(AbstractHostPlant):
         """Linear system around a command."""
         joints = jnp.asarray(command)
         slopes = JobKinematics(self.job).motor_slopes(joints)
-        return linear_job(self.job, self.motors(joints), slopes, self.wall_share)
+        job = _with_round_gaps(self.job)
+        found = linear_job(job, self.motors(joints), slopes, self.wall_share)
+        return _about_sharp_gaps(self, found, command)
+
+
+def _with_round_gaps(job: Job) -> Job:
+    """Job whose gaps have corners as wide as they can be, for slopes.
+
+    Those at a sharp corner hold over a micrometre: a search that follows them takes no
+    step, where the command has to bring a gear through its gap.
+    """
+    if job.robot is None or job.robot.backlash is None:
+        return job
+    robot = job.robot.with_backlash(job.robot.backlash.gap, corner=1.0)
+    return dataclasses.replace(job, robot=robot)
+
+
+def _about_sharp_gaps(
+    plant: TipPlant | JointPlant, found: LinearJob, command: FloatRows
+) -> LinearJob:
+    """System of round gaps about the motion of a plant with gaps as they are."""
+    if plant.job.robot is None or plant.job.robot.backlash is None:
+        return found
+    motion = plant.run(command)
+    return dataclasses.replace(found, motion=Motion(motion.actual, motion.force))
 
 
 def _motion(
