@@ -6,9 +6,10 @@ the spindle; the ways in which a dynamometer can be mounted. Cutting coefficient
 mean forces and from whole records, joint stiffness from load tests, modes and damping
 from a ring-down or a frequency response, or all of them at once from one record of a
 robot that cuts, each with standard errors and the parameters that the data do not
-identify. Assumptions: forces are calibrated; the record was sampled at one rate, except
-for gaps; the amplifier drifts along a straight line between two tare sections. Left
-out: the dynamometer's own dynamics. Files are read by `diffmill.io.load_record`.
+identify; springs and reversals of joints from their two encoders. Assumptions: forces
+are calibrated; the record was sampled at one rate, except for gaps; the amplifier
+drifts along a straight line between two tare sections. Left out: the dynamometer's own
+dynamics. Files are read by `diffmill.io.load_record`.
 Nothing is changed in place: functions return new records or proposals.
 """
 
@@ -48,6 +49,7 @@ from ._record.diagnosis import Diagnosis as Diagnosis
 from ._record.record import Record as Record
 from ._record.saturation import find_saturated as find_saturated
 from ._record.spindle_harmonics import refine_spindle_speed as refine_spindle_speed
+from ._reversal.joint_motion import JointRecord as JointRecord
 from ._stiffness.experiment_design import suggest_load_tests as suggest_load_tests
 from ._stiffness.joint_stiffness import (
     deflection_columns as deflection_columns,
@@ -72,4 +74,5 @@ from ._study.modes import (
     RingDown as RingDown,
 )
 from ._study.records import ForceRecord as ForceRecord, ForceSettings as ForceSettings
+from ._study.reversal import ReversalStudy as ReversalStudy
 from ._study.study import Study as Study, StudyError as StudyError

@@ -7,6 +7,7 @@ from . import (
     frequency_response,
     load_tests,
     mean_forces,
+    reversal,
     ring_down,
 )
 
@@ -20,5 +21,6 @@ KINDS = {
         frequency_response.KIND,
         coupled.KIND,
         controller.KIND,
+        reversal.KIND,
     )
 }
