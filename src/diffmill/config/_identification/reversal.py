@@ -30,7 +30,7 @@ _LEAST_SHARE = 0.5
 _JOINT = r"[\s_.\-]*(joint|axis|achse|a|j|q)?[\s_.\-]*"
 
 
-def _is_ratio(value: float) -> float:
+def _is_ratio(value: float | int) -> float:
     """Ratio that is not 0."""
     if value == 0 or not np.isfinite(value):
         raise ValueError(f"found {value!r}, but a finite number beside 0 is required")
@@ -229,7 +229,12 @@ def _record(
         for part in table
     )
     still = np.ptp(link, axis=0) < _LEAST_SHARE * np.ptp(motor, axis=0)
-    if still.any():
+    if still[[joint - 1 for joint in whole]].all():
+        reader.faults.append(
+            "no link follows its motor; the angle of a motor must be that behind its "
+            "gear, and the unit of both be right."
+        )
+    elif still.any():
         names = ", ".join(str(i) for i in np.flatnonzero(still) + 1)
         reader.notes.append(
             f"The link encoders of the joints {names} do not follow their motors and "

@@ -49,8 +49,8 @@ class ColouredFit:
 
 
 def fit_coloured(
-    columns: Sequence[Float[np.ndarray, "row unknown"]],
-    values: Sequence[Float[np.ndarray, " row"]],
+    columns: Sequence[np.ndarray],
+    values: Sequence[np.ndarray],
     precision: Float[np.ndarray, " unknown"],
 ) -> ColouredFit:
     """Fit all records together.
@@ -111,22 +111,30 @@ def fit_coloured(
 def _inverse(G: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
     """Inverse of a normal matrix, columns that depend on others left out."""
     size = np.sqrt(np.maximum(np.diagonal(G), 1e-300))
-    scaled = np.linalg.pinv(G / size[:, None] / size[None], _DEPENDENT, hermitian=True)
-    return scaled / size[:, None] / size[None]
+    scaled = G / size[:, None] / size[None]
+    try:
+        is_regular = np.diagonal(np.linalg.cholesky(scaled)).min() ** 2 > _DEPENDENT
+    except np.linalg.LinAlgError:
+        is_regular = False
+    if is_regular:
+        inverse = np.linalg.inv(scaled)
+    else:
+        inverse = np.linalg.pinv(scaled, _DEPENDENT, hermitian=True)
+    return inverse / size[:, None] / size[None]
 
 
 def _autoregression(
-    residual: Sequence[Float[np.ndarray, " row"]],
+    residual: Sequence[np.ndarray],
 ) -> tuple[Float[np.ndarray, " term"], float]:
     """Coefficients of x_k = sum_i a_i x_(k-i) + e_k and the size of e, by Levinson."""
     count = sum(len(one) for one in residual)
     longest = min(_LONGEST_MEMORY, min(len(one) for one in residual) // 4)
-    g = np.array(
-        [
-            sum(float(one[k:] @ one[: len(one) - k]) for one in residual) / count
-            for k in range(longest + 1)
-        ]
-    )
+    g = np.zeros(longest + 1)
+    for one in residual:
+        lagged = np.lib.stride_tricks.sliding_window_view(
+            np.append(one, np.zeros(longest)), longest + 1
+        )
+        g += one @ lagged / count
     a, variance = np.zeros(0), float(g[0])
     best, least = (a, float(np.sqrt(variance))), np.inf
     for order in range(1, longest + 1):

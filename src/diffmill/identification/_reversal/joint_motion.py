@@ -60,10 +60,14 @@ def bristle(
     Returns:
         s, 0 at first, shape (row,).
     """
+    steps = np.diff(positions)
+    turns = np.flatnonzero(np.diff(np.sign(steps))) + 1
     stretch, value = np.zeros(len(positions)), 0.0
-    for row, travel in enumerate((np.diff(positions) / presliding).tolist(), 1):
-        value = min(max(value + travel, -1.0), 1.0)
-        stretch[row] = value
+    # Between two turns the clip acts once.
+    for first, last in zip([0, *turns], [*turns, len(steps)], strict=True):
+        way = (positions[first + 1 : last + 1] - positions[first]) / presliding
+        stretch[first + 1 : last + 1] = np.clip(value + way, -1.0, 1.0)
+        value = stretch[last]
     return stretch
 
 
@@ -110,9 +114,9 @@ class JointMotion:
         """Signals below the cut-off frequency, thinned, at the rows that are used."""
         from scipy.signal import butter, sosfiltfilt
 
-        nyquist = 0.5 / self.record.time_step
-        if self.lowpass < 0.9 * nyquist:
-            sos = butter(3, self.lowpass / nyquist, output="sos")
+        share = 2 * self.record.time_step * self.lowpass
+        if share < 0.9:
+            sos = butter(3, share, output="sos")
             signals = sosfiltfilt(sos, signals, axis=0)
         return signals[:: self._stride][self.is_used]
 
@@ -196,13 +200,28 @@ class JointMotion:
         """
         from scipy.interpolate import CubicSpline
 
-        time = np.arange(len(self.positions)) * self.record.time_step
-        link = CubicSpline(time, self.record.link[:, self.joint])
-        return self.low(link(time + delay) - self.positions)
+        if delay not in self._deflections:
+            time = np.arange(len(self.positions)) * self.record.time_step
+            link = CubicSpline(time, self.record.link[:, self.joint])
+            shifted = link(time + delay)
+            self._deflections[delay] = self.low(shifted - self.positions)
+        return self._deflections[delay]
 
     def bristle(self, presliding: float) -> Float[np.ndarray, " used"]:
         """Bristle s(q) [-], shape (used,)."""
-        return self.low(bristle(self.positions, presliding))
+        if presliding not in self._bristles:
+            stretch = bristle(self.positions, presliding)
+            self._bristles[presliding] = self.low(stretch)
+        return self._bristles[presliding]
+
+    # Of travels and delays that were asked for: each serves several regressions.
+    @functools.cached_property
+    def _bristles(self) -> dict[float, np.ndarray]:
+        return {}
+
+    @functools.cached_property
+    def _deflections(self) -> dict[float, np.ndarray]:
+        return {}
 
 
 def offsets(motions: Sequence[JointMotion]) -> list[Float[np.ndarray, "used record"]]:
