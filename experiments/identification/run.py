@@ -2,7 +2,7 @@
 
 python experiments/identification/run.py [coverage measured ...] [--out FOLDER]
 
-`measured` needs the folder of reference data in DIFFMILL_REFERENCE_DATA.
+`measured` and `reversal` need the folder of reference data in DIFFMILL_REFERENCE_DATA.
 """
 
 import pathlib
@@ -12,7 +12,7 @@ HERE = pathlib.Path(__file__).parent
 # The runner is shared with other experiments.
 sys.path.append(str(HERE.parent / "common"))
 
-GROUPS = ("coverage", "measured", "load_tests", "coupled", "speed")
+GROUPS = ("coverage", "measured", "load_tests", "coupled", "reversal", "speed")
 
 
 if __name__ == "__main__":

@@ -37,20 +37,23 @@ def _is_ratio(value: float | int) -> float:
     return float(value)
 
 
-Ratio = Annotated[StrictFloat | StrictInt, AfterValidator(_is_ratio)]
+GearRatio = Annotated[StrictFloat | StrictInt, AfterValidator(_is_ratio)]
 
 
-def _is_presliding(value: float) -> float:
-    """Angle above 0."""
+def _is_positive(value: float) -> float:
+    """Angle that is above 0."""
     if value <= 0:
         raise ValueError(f"found {value:g} rad, but an angle above 0 is required")
     return value
 
 
+PositiveAngle = Annotated[Angle, AfterValidator(_is_positive)]
+
+
 class ReversalTable(TomlTable):
     """`[reversal]`."""
 
-    gear_ratios: list[Ratio] | None = Field(
+    gear_ratios: list[GearRatio] | None = Field(
         default=None,
         description="turns of the motor per turn of every joint, such as [256.857, "
         "267.429]: the torque of the records is that of the motors; if left out it is "
@@ -61,7 +64,7 @@ class ReversalTable(TomlTable):
         description="cut-off frequency of all signals; below the first resonance of "
         "the arm the spring is at rest",
     )
-    longest_presliding: Annotated[Angle, AfterValidator(_is_presliding)] = Field(
+    longest_presliding: PositiveAngle = Field(
         default=2e-3,
         description="longest travel over which the friction of a joint may build up, "
         'such as "2 mrad"',
