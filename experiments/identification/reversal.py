@@ -1,7 +1,7 @@
 """Joints of a KUKA KR300 R2500 with secondary encoders (Weigand et al., MIT licence).
 
-How well one record foretells the other, below 10 Hz and with all of its frequencies, and
-which spring, reversal, delay and friction both give.
+How well one record foretells the other, below 10 Hz and with all of its frequencies,
+and which spring, reversal, delay and friction both give.
 """
 
 import os

@@ -128,7 +128,7 @@ def _of(fitted) -> str:
 
 
 def _doubts(name: str, drive) -> list[str]:
-    """What the records cannot tell of a joint."""
+    """What the records do not show of a joint."""
     doubts = []
     if not math.isfinite(drive.stiffness.error):
         doubts.append(
