@@ -92,6 +92,7 @@ KINDS = {
     "Mass": Kind("mass above 0", "kg"),
     "Modulus": Kind("modulus above 0", "Pa"),
     "Number": Kind("whole number of at least 0"),
+    "PositiveAngle": Kind("angle above 0", "rad"),
     "PositiveLength": Kind("length above 0", "m"),
     "PositiveSpeed": Kind("speed above 0", "m/s"),
     "PositiveTime": Kind("time above 0", "s"),

@@ -162,7 +162,7 @@ def _quantities(joint: int) -> tuple[Quantity, Quantity, Quantity]:
     return (
         Quantity(
             f"motor_{joint}",
-            rf"(motor|mot|drive|antrieb|theta){_JOINT}{joint}",
+            rf"(motor|drive|antrieb|theta){_JOINT}{joint}",
             (q.ANGLE,),
             ("motor",),
         ),

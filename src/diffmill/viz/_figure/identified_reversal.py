@@ -1,7 +1,7 @@
 """Figure of the deflection of a joint over its position."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     import matplotlib.figure
 
 
+@runtime_checkable
 class PredictedRecord(Protocol):
     """A record of a joint that others predict."""
 
