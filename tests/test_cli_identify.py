@@ -67,7 +67,17 @@ inertia = ["1 kg*m^2", "1 kg*m^2", "1 kg*m^2"]
 """
 
 
-TURNING = 'kind = "revolute"\nname = "joint_1"'
+# An axis whose body swings about it.
+AXIS = """name = "axis"
+[[elements]]
+kind = "revolute"
+name = "joint_1"
+[[elements]]
+kind = "body"
+mass = "100 kg"
+center_of_mass = ["1 m", "0 m", "0 m"]
+inertia = ["1 kg*m^2", "1 kg*m^2", "1 kg*m^2"]
+"""
 
 
 @pytest.fixture
@@ -734,8 +744,7 @@ def test_reversals_are_told_and_written_as_drives_of_a_robot(folder, run):
     assert facts["joints"]["joint_1"]["delay"] == pytest.approx(joint.delay, rel=0.02)
     assert drawn(out) == {"reversal_joint_1"}
     # The file completes a robot as it is.
-    turning = SLIDES.replace('kind = "prismatic"\nname = "x"', TURNING, 1)
-    (folder / "arm.toml").write_text(turning)
+    (folder / "arm.toml").write_text(AXIS)
     arm = rb.load(folder / "arm.toml", drives=out / "identified.toml")
     assert arm.friction is not None and arm.friction.presliding is not None
     assert float(arm.friction.presliding[0]) > 0

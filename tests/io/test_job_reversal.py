@@ -18,14 +18,21 @@ def write(folder, **robot):
     return write_job(folder, JOB, {"robot": ARM | robot}, program=program)
 
 
+def robot_of(folder, **robot):
+    arm = load_job(write(folder, **robot)).robot
+    assert arm is not None
+    return arm
+
+
 def test_a_preset_gives_backlash_and_friction(tmp_path):
-    arm = load_job(write(tmp_path, reversal="kuka_kr300")).robot
+    arm = robot_of(tmp_path, reversal="kuka_kr300")
     assert arm.backlash is not None and arm.friction is not None
+    assert arm.friction.presliding is not None
     np.testing.assert_allclose(arm.backlash.gap, 30e-6)
     np.testing.assert_allclose(arm.friction.coulomb, [285, 10, 30, 0, 0, 0])
     np.testing.assert_allclose(arm.friction.viscous, [2050, 2307, 2024, 0, 0, 0])
     np.testing.assert_allclose(arm.friction.presliding, 80e-6)
-    plain = load_job(write(tmp_path)).robot
+    plain = robot_of(tmp_path)
     assert plain.backlash is None and plain.friction is None
 
 
@@ -34,6 +41,7 @@ def test_a_preset_replaces_what_the_drives_have(tmp_path):
     drives.write_text('[drive.axis_1]\nbacklash = "0.1 mrad"\n')
     job = load_job(write(tmp_path, reversal="kuka_kr300", drives="drives.toml"))
     assert any("replaces backlash and friction" in note for note in job.notes)
+    assert job.robot is not None and job.robot.backlash is not None
     np.testing.assert_allclose(job.robot.backlash.gap, 30e-6)
 
 

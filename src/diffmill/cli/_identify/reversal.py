@@ -45,13 +45,20 @@ def report(study: ReversalStudy, result: ReversalStudy.Fit) -> Report:
         spring = f"{1e-6 * low:.3g} to {1e-6 * high:.3g}"
         if not math.isfinite(high):
             spring = f"at least {1e-6 * low:.3g}"
-        lines.append(
-            f"{name:12}{spring:>22}{_text(drive.reversal, 1e6):>16}"
-            f"{_text(drive.backlash, 1e6):>16}{1e6 * drive.presliding:>14.3g}"
-            f"{_text(drive.delay, 1e3):>16}"
+        reversal, backlash, delay = (
+            _text(one.value, one.error, scale)
+            for one, scale in (
+                (drive.reversal, 1e6),
+                (drive.backlash, 1e6),
+                (drive.delay, 1e3),
+            )
         )
-        doubts += _doubts(name, drive)
-        stiffness, table = _toml(study, name, fitted.joint, drive)
+        lines.append(
+            f"{name:12}{spring:>22}{reversal:>16}{backlash:>16}"
+            f"{1e6 * drive.presliding:>14.3g}{delay:>16}"
+        )
+        doubts += _doubts(name, fitted)
+        stiffness, table = _toml(study, name, fitted)
         toml_stiffness.append(stiffness)
         toml_drives += table
         facts[name] = _facts(fitted)
@@ -107,15 +114,15 @@ def _all_notes(study: ReversalStudy) -> list[str]:
     ]
 
 
-def _text(estimate, scale: float) -> str:
+def _text(value: float, error: float, scale: float) -> str:
     """Number and standard error."""
-    if not math.isfinite(estimate.error):
+    if not math.isfinite(error):
         return "-"
-    rounded = Rounded.of(scale * estimate.value, scale * estimate.error)
+    rounded = Rounded.of(scale * value, scale * error)
     return f"{rounded.value} +- {rounded.error}"
 
 
-def _of(fitted) -> str:
+def _of(fitted: ReversalStudy.Drive) -> str:
     """Of what the error that repeats is a function."""
     prior = fitted.repeating
     if prior is None:
@@ -127,9 +134,9 @@ def _of(fitted) -> str:
     )
 
 
-def _doubts(name: str, drive) -> list[str]:
+def _doubts(name: str, fitted: ReversalStudy.Drive) -> list[str]:
     """What the records do not show of a joint."""
-    doubts = []
+    drive, doubts = fitted.drive, []
     if not math.isfinite(drive.stiffness.error):
         doubts.append(
             f"{name}: its load does not change enough to bound the stiffness from "
@@ -163,9 +170,11 @@ def _doubts(name: str, drive) -> list[str]:
     return doubts
 
 
-def _toml(study: ReversalStudy, name: str, joint: int, drive):
+def _toml(
+    study: ReversalStudy, name: str, fitted: ReversalStudy.Drive
+) -> tuple[str, list[str]]:
     """Line of `[stiffness]`, and lines of `[drive]`, of a joint."""
-    lines = ["", f"[drive.{name}]"]
+    drive, lines = fitted.drive, ["", f"[drive.{name}]"]
     K = drive.stiffness
     if math.isfinite(K.error):
         value, error = Rounded.of(1e-6 * K.value, 1e-6 * K.error)
@@ -174,7 +183,7 @@ def _toml(study: ReversalStudy, name: str, joint: int, drive):
         least = 1e-6 * drive.stiffness_interval[0]
         spring = f"# {name}: not identifiable, at least {least:.3g} MN*m/rad"
         if study.robot is not None:
-            model = float(np.asarray(study.robot.joint_stiffness)[joint])
+            model = float(np.asarray(study.robot.joint_stiffness)[fitted.joint])
             K = dataclasses.replace(K, value=model, error=0.0)
     gap = drive.backlash
     if math.isfinite(gap.error) and gap.interval[0] > 0:
@@ -206,7 +215,7 @@ def _toml(study: ReversalStudy, name: str, joint: int, drive):
     return spring, lines
 
 
-def _facts(fitted) -> dict[str, object]:
+def _facts(fitted: ReversalStudy.Drive) -> dict[str, object]:
     """Numbers of a joint in SI units."""
     drive = fitted.drive
     estimates = {

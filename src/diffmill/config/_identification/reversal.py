@@ -217,9 +217,8 @@ def _record(
             if part is not None:
                 table[kind, :, joint - 1] = part
     needed = table[:, :, [joint - 1 for joint in whole]]
-    line = reader.timeline(
-        time, np.isfinite(needed).all(axis=(0, 2)), rate or reader.table.rate
-    )
+    is_complete = np.asarray(np.isfinite(needed).all(axis=(0, 2)))
+    line = reader.timeline(time, is_complete, rate or reader.table.rate)
     reader.check()
     assert line is not None
     if line.is_after_gap.any():

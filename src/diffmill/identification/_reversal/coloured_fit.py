@@ -75,7 +75,7 @@ def fit_coloured(
     w, l = np.ones(len(y)), 1.0
     s = max(float(np.std(y)), 1e-300)
     x = np.zeros(X.shape[1])
-    a, e = np.zeros(0), s
+    a, e, off, size = np.zeros(0), s, y, s
     inverse = np.zeros((len(x), len(x)))
     for _ in range(_ITERATIONS):
         inverse = _inverse((X * w[:, None]).T @ X / (s**2 * l) + np.diag(precision))
@@ -93,7 +93,7 @@ def fit_coloured(
     # Filtered backwards in time, the columns have the scalar products of X' O X.
     meat = np.diag(precision)
     for one in np.split(X, ends):
-        filtered = lfilter([e], np.append(1.0, -a), one[::-1], axis=0)
+        filtered = np.asarray(lfilter([e], np.append(1.0, -a), one[::-1], axis=0))
         meat = meat + filtered.T @ filtered / (s**2 * l) ** 2
     independent = len(y) / l
     # Effective unknowns: priors leave less than their number.

@@ -125,7 +125,7 @@ class JointMotion:
         """Velocities and accelerations of all motors [rad/s, rad/s^2]."""
         from scipy.signal import savgol_filter
 
-        return np.stack(
+        return np.array(
             [
                 savgol_filter(
                     self.record.motor,

@@ -9,6 +9,7 @@ load gives the reversal r and the delay T, the torque itself all friction.
 import dataclasses
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -127,19 +128,19 @@ class JointReversal:
 
         longest = motions[0].longest_presliding
         tried = np.geomspace(_SHORTEST * longest, longest, _TRIED)
-        equations, delay = JointEquations(motions, repeating), 0.0
+        equations = JointEquations(motions, repeating)
+        delay, z = 0.0, float(longest)
         for _ in range(_ROUNDS):
             costs = [equations.cost(float(one), delay) for one in tried]
             best = int(np.argmin(costs))
             around = np.log(tried[[max(best - 1, 0), min(best + 1, _TRIED - 1)]])
-            z = math.exp(
-                minimize_scalar(
-                    lambda x, late=delay: equations.cost(math.exp(x), late),
-                    bounds=tuple(around),
-                    method="bounded",
-                    options={"xatol": _XTOL},
-                ).x
+            found: Any = minimize_scalar(
+                lambda x, late=delay: equations.cost(math.exp(x), late),
+                bounds=tuple(around),
+                method="bounded",
+                options={"xatol": _XTOL},
             )
+            z = math.exp(found.x)
             deflected, torque = equations.at_equal_load(z, delay), equations.torque(z)
             equations.weights = deflected.independent, torque.independent
             delay += float(deflected.x[1])
@@ -302,7 +303,7 @@ class JointEquations:
         for edge, unknown in ((_SHORTEST * longest, 0.0), (longest, math.inf)):
             a, b = math.log(z), math.log(edge)
             is_bounded = abs(b - a) > 1e-3 and rise(b) > 0
-            end = brentq(rise, a, b, xtol=_XTOL) if is_bounded else None
+            end: Any = brentq(rise, a, b, xtol=_XTOL) if is_bounded else None
             ends.append(unknown if end is None else math.exp(end))
         return ends[0], ends[1]
 

@@ -77,8 +77,8 @@ def choose_repeating(
             length, size * left, by_direction, float(min(ends)), float(max(ends))
         )
         tried = [
-            dataclasses.replace(one, repeated=_predicted(*fold, prior))
-            for one, fold in zip(plain, folds, strict=True)
+            dataclasses.replace(one, repeated=_predicted(others, own, drive, prior))
+            for one, (others, own, drive) in zip(plain, folds, strict=True)
         ]
         error = sum(one.rms[2] ** 2 for one in tried)
         if error < least:

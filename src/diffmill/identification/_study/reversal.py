@@ -65,6 +65,7 @@ class ReversalStudy:
         notes: What was assumed.
         kind: Kind of the measurements.
         Fit: Result of `run`.
+        Drive: A joint of it.
     """
 
     name: str
@@ -76,6 +77,7 @@ class ReversalStudy:
     notes: tuple[str, ...] = ()
     kind = "reversal"
     Fit = ReversalStudyFit
+    Drive = FittedDrive
 
     def run(self, on_progress: OnProgress = silent) -> ReversalStudyFit:
         """Fit every joint that has both encoders and a torque.
