@@ -20,6 +20,8 @@ _ITERATIONS = 5
 _LONGEST_MEMORY = 20
 # Samples beyond the unknowns that count at least.
 _LEAST_FREEDOM = 4.0
+# Frequencies at which the density of the noise is looked at [rad/sample].
+_BAND = np.linspace(0.0, np.pi, 64)
 # Columns that are sums of others to such a share of themselves are dependent.
 _DEPENDENT = 1e-9
 
@@ -69,7 +71,8 @@ def fit_coloured(
     from scipy.signal import lfilter
 
     # symbols: s standard deviation of the residual, l samples that tell as much as one
-    # independent one, a and e coefficients and innovation of the autoregression
+    # independent one at the frequency of the most noise, a and e coefficients and
+    # innovation of the autoregression
     X, y = np.concatenate(columns), np.concatenate(values)
     ends = np.cumsum([len(one) for one in values])[:-1]
     w, l = np.ones(len(y)), 1.0
@@ -86,7 +89,10 @@ def fit_coloured(
         scores = np.split(w * off, ends)
         a, e = _autoregression(scores)
         size = float(np.sqrt(np.mean((w * off) ** 2)))
-        l = max((e / max(size, 1e-300) / (1.0 - a.sum())) ** 2, 1.0)
+        # The unknowns take some of the noise at the lowest frequencies away.
+        turn = np.exp(-1j * np.outer(_BAND, np.arange(1, len(a) + 1)))
+        peak = 1.0 / np.abs(1.0 - turn @ a).min()
+        l = max((e / max(size, 1e-300) * peak) ** 2, 1.0)
     # A sample far off resists a change of the fit less than its weight says.
     firm = X * robust_slope(off / s, "huber")[:, None]
     inverse = _inverse(firm.T @ X / (s**2 * l) + np.diag(precision))

@@ -9,7 +9,6 @@ load gives the reversal r and the delay T, the torque itself all friction.
 import dataclasses
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -30,8 +29,9 @@ _LEAST_SIDE, _MOST_EXPLAINED = 0.02, 0.85
 _STUDENT = 1.96
 # A spring is known if it is so many standard errors.
 _LEAST_RATIO = 3.0
-# Accuracy of ln z.
-_XTOL = 0.01
+# Steps of ln z behind the best travel that is tried, their length, and an error
+# beyond which nothing is known.
+_NEWTON_STEPS, _LONGEST_STEP, _SURELY = 4, 0.5, 10.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -71,8 +71,8 @@ class JointReversal:
         backlash: b [rad]; unknown if the load never changes its side, or does so with
             the motion alone: r then holds half of it.
         presliding: z, over which the friction builds up [rad].
-        presliding_interval: Ends of its interval of 95 % [rad], by the likelihood; 0
-            or infinite where the record shows none.
+        presliding_interval: Ends of its interval of 95 % [rad], 0 or
+            infinite where the record shows none.
         delay: T of the link's encoder [s], with viscous friction of the link over K.
         coulomb: F_c of motor and link [N m].
         viscous: F_v of motor and link [N m s/rad].
@@ -124,23 +124,17 @@ class JointReversal:
             motions: The joint in every record.
             repeating: Prior of the error that repeats over the position; None for none.
         """
-        from scipy.optimize import minimize_scalar
-
         longest = motions[0].longest_presliding
         tried = np.geomspace(_SHORTEST * longest, longest, _TRIED)
         equations = JointEquations(motions, repeating)
         delay, z = 0.0, float(longest)
         for _ in range(_ROUNDS):
             costs = [equations.cost(float(one), delay) for one in tried]
-            best = int(np.argmin(costs))
-            around = np.log(tried[[max(best - 1, 0), min(best + 1, _TRIED - 1)]])
-            found: Any = minimize_scalar(
-                lambda x, late=delay: equations.cost(math.exp(x), late),
-                bounds=tuple(around),
-                method="bounded",
-                options={"xatol": _XTOL},
-            )
-            z = math.exp(found.x)
+            z = float(tried[int(np.argmin(costs))])
+            for _ in range(_NEWTON_STEPS):
+                step = equations.travel_step(z, delay).value
+                step = min(max(step, -_LONGEST_STEP), _LONGEST_STEP)
+                z = float(np.clip(z * math.exp(step), tried[0], longest))
             deflected, torque = equations.at_equal_load(z, delay), equations.torque(z)
             equations.weights = deflected.independent, torque.independent
             delay += float(deflected.x[1])
@@ -292,20 +286,23 @@ class JointEquations:
             fitted=over,
         )
 
-    def _presliding_interval(self, z: float, delay: float) -> tuple[float, float]:
-        """Travels at which the likelihood is less by 1.92 in its logarithm [rad]."""
-        from scipy.optimize import brentq
+    def travel_step(self, z: float, delay: float) -> Estimate:
+        """Change of ln z that both fits at equal load ask for, by their errors."""
+        F = float(self.torque(z).x[0]) or 1.0
+        r = float(self.at_equal_load(z, delay).x[0]) or 1.0
+        fits = (self.torque(z, slope=F), self.at_equal_load(z, delay, slope=r))
+        steps = np.array([one.x[3] for one in fits])
+        information = np.array([max(one.errors[3], 1e-12) ** -2.0 for one in fits])
+        error = float(information.sum()) ** -0.5
+        return Estimate(float(information @ steps) * error**2, error)
 
+    def _presliding_interval(self, z: float, delay: float) -> tuple[float, float]:
+        """Ends of the interval of 95 % of z [rad]; 0 or infinite if not tried."""
+        factor = math.exp(_STUDENT * min(self.travel_step(z, delay).error, _SURELY))
         longest = self.motions[0].longest_presliding
-        limit = self.cost(z, delay) + _STUDENT**2 / 2
-        rise = lambda x: self.cost(math.exp(x), delay) - limit
-        ends = []
-        for edge, unknown in ((_SHORTEST * longest, 0.0), (longest, math.inf)):
-            a, b = math.log(z), math.log(edge)
-            is_bounded = abs(b - a) > 1e-3 and rise(b) > 0
-            end: Any = brentq(rise, a, b, xtol=_XTOL) if is_bounded else None
-            ends.append(unknown if end is None else math.exp(end))
-        return ends[0], ends[1]
+        low, high = z / factor, z * factor
+        is_low, is_high = low < _SHORTEST * longest, high > longest
+        return 0.0 if is_low else low, math.inf if is_high else high
 
     def set_gap(self, z: float, delay: float) -> None:
         """Set the column of the gap if the load shows it.
