@@ -311,7 +311,10 @@ class JointEquations:
         inertia of the motor: the torque as measured would change its sign by noise.
         """
         torque = self.torque(z)
-        over = self.spring(z, delay)
+        # An error that repeats takes from the inertia of the motor what it can.
+        over = JointEquations(self.motions, None, self.gap).spring(z, delay)
+        if over.x[0] < _LEAST_RATIO * over.errors[0]:
+            over = self.spring(z, delay)
         c, beta = float(over.x[0]), float(over.x[3])
         if not c > 0:
             return
