@@ -27,8 +27,8 @@ AREAS = (
 TABLES = (
     *("", "cutter", "spindle", "cut", "record", "means", "fit", "force", "stock"),
     *("program", "robot", "load_tests", "ring_down", "frequency_response", "coupled"),
-    *("air_path", "poses", "prior", "machine", "controller"),
-    *("registration", "simulation", "correction", "output", "truth"),
+    *("air_path", "poses", "prior", "reversal", "joint_record", "machine"),
+    *("controller", "registration", "simulation", "correction", "output", "truth"),
     *("sweep", "draw", "starts"),
 )
 
@@ -75,6 +75,7 @@ KINDS = {
     "File": Kind("name of a file"),
     "Formats": Kind('list: `"gcode"`, `"krl"`, `"rapid"` or `"apt"`'),
     "Frequency": Kind("frequency above 0", "Hz"),
+    "GearRatio": Kind("number beside 0"),
     "Jerk": Kind("jerk above 0", "m/s^3"),
     "JointFrequency": Kind("frequency above 0, or one per joint", "Hz"),
     "JointRatio": Kind("finite number above 0, or one per joint"),

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import scipy.io
 import xarray
+from joint_motions import Joint, save_joint
 from scipy.spatial.transform import Rotation
 from slides_job import JOB, with_machine, write_slides_job
 from slot_force import SPEED, K, mean_lines, slot_force
@@ -19,7 +20,15 @@ from vibrations import receptance, ring_down
 from diffmill import config, cutter as ct, identification, load_job, robot as rb, viz
 from diffmill.cli import main
 from diffmill.cutting import KienzleLaw, LinearEdgeLaw
-from diffmill.units import ANGLE, FREQUENCY, LENGTH, LINEAR_STIFFNESS, quantity
+from diffmill.units import (
+    ANGLE,
+    FREQUENCY,
+    LENGTH,
+    LINEAR_STIFFNESS,
+    MOMENT,
+    ROTARY_STIFFNESS,
+    quantity,
+)
 from small_job import arm_text, body, slide
 
 MEANS = """kind = "mean_forces"
@@ -39,6 +48,19 @@ SLIDES = arm_text(
     body("100 kg"),
     name="slides",
 )
+
+
+# An axis whose body swings about it.
+AXIS = """name = "axis"
+[[elements]]
+kind = "revolute"
+name = "joint_1"
+[[elements]]
+kind = "body"
+mass = "100 kg"
+center_of_mass = ["1 m", "0 m", "0 m"]
+inertia = ["1 kg*m^2", "1 kg*m^2", "1 kg*m^2"]
+"""
 
 
 @pytest.fixture
@@ -682,6 +704,44 @@ def test_check_tells_what_was_read_of_paths_in_the_air(folder, run):
     said = run("air.toml", f'{text}actual = "actual.csv"\n', command="check")
     assert "200 rows every 10 ms, 1.99 s" in said
     assert "actual less commanded: x -" in said and "mm, y 0 to 0 um" in said
+
+
+REVERSAL = 'kind = "reversal"\n[reversal]\n[[joint_record]]\nfile = "joint.csv"\n'
+
+
+def test_check_tells_what_was_read_of_joints(folder, run):
+    record = Joint().record(np.random.default_rng(0), duration=4.0)
+    save_joint(folder / "joint.csv", record)
+    said = run("joint.toml", REVERSAL, command="check")
+    assert "joint.csv: 1000 rows every 4 ms" in said
+    assert "torque_1  column `torque_1_Nm` [Nm]: " in said
+    said = run("joint.toml", REVERSAL.replace("joint.csv", "no.csv"), code=2)
+    assert "[[joint_record]] 1 file" in said
+
+
+@pytest.mark.slow
+def test_reversals_are_told_and_written_as_drives_of_a_robot(folder, run):
+    joint = Joint()
+    save_joint(folder / "joint.csv", joint.record(np.random.default_rng(3)))
+    said = flat(run("joint.toml", REVERSAL))
+    assert "1 records of 1 joints with two encoders, below 10 Hz" in said
+    assert "Viscous friction of a link and the delay of its encoder are one" in said
+    out, facts, toml = results(folder, "joint")
+    drive = toml["drive"]["joint_1"]
+    for text, kind, truth in (
+        (toml["stiffness"]["joint_1"], ROTARY_STIFFNESS, joint.stiffness),
+        (drive["coulomb_friction"], MOMENT, joint.friction),
+        (drive["backlash"], ANGLE, joint.backlash),
+    ):
+        assert quantity(text, kind) == pytest.approx(truth, rel=0.25)
+    assert 0 < quantity(drive["presliding"], ANGLE) < 1e-3
+    assert facts["joints"]["joint_1"]["delay"] == pytest.approx(joint.delay, rel=0.02)
+    assert drawn(out) == {"reversal_joint_1"}
+    # The file completes a robot as it is.
+    (folder / "arm.toml").write_text(AXIS)
+    arm = rb.load(folder / "arm.toml", drives=out / "identified.toml")
+    assert arm.friction is not None and arm.friction.presliding is not None
+    assert float(arm.friction.presliding[0]) > 0
 
 
 def test_check_tells_what_was_read_of_arm_and_cut(folder, run):

@@ -54,6 +54,12 @@ TABLES = {
             f"{k * 0.01:.2f},{k * 0.1:.1f},0,0\n" for k in range(200)
         ),
     ),
+    **dict.fromkeys(
+        ("record_A.csv", "record_B.csv"),
+        "time_s,motor_1_deg,link_1_deg,torque_1_Nm\n" + "".join(
+            f"{k * 0.01:.2f},{k % 90},{k % 90},{k % 7}\n" for k in range(200)
+        ),
+    ),
 }  # fmt: skip
 STUDY = """kind = "mean_forces"
 [cutter]

@@ -2,7 +2,7 @@
 
 python experiments/identification/run.py [coverage measured ...] [--out FOLDER]
 
-`measured` and `kinematics` need the folder of reference data in
+`measured`, `kinematics` and `reversal` need the folder of reference data in
 DIFFMILL_REFERENCE_DATA.
 """
 
@@ -13,7 +13,10 @@ HERE = pathlib.Path(__file__).parent
 # The runner is shared with other experiments.
 sys.path += [str(HERE.parent / "common"), str(HERE.parents[1] / "tests")]
 
-GROUPS = ("coverage", "measured", "load_tests", "coupled", "kinematics", "speed")
+GROUPS = (
+    *("coverage", "measured", "load_tests", "coupled", "kinematics", "reversal"),
+    "speed",
+)
 
 
 if __name__ == "__main__":

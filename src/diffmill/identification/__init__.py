@@ -4,12 +4,13 @@ What it models: a record of three forces over time with what is doubtful in it m
 sample by sample; the removal of offset and drift; the cuts in it; its alignment with
 the spindle; the ways in which a dynamometer can be mounted. Cutting coefficients from
 mean forces and from whole records, joint stiffness from load tests, link errors from
-measured poses, modes and damping from a ring-down or a frequency response, or all but
-link errors at once from one record of a robot that cuts, each with standard errors and
-the parameters that the data do not identify. Assumptions: forces are calibrated; the
-record was sampled at one rate, except for gaps; the amplifier drifts along a straight
-line between two tare sections. Left out: the dynamometer's own dynamics. Files are read
-by `diffmill.io.load_record`.
+measured poses, springs and reversals of joints from their two encoders, modes and
+damping from a ring-down or a frequency response, or coefficients and springs at once
+from one record of a robot that cuts, each with standard errors and the parameters that
+the data do not identify. Assumptions: forces are calibrated; the record was sampled at
+one rate, except for gaps; the amplifier drifts along a straight line between two tare
+sections. Left out: the dynamometer's own dynamics. Files are read by
+`diffmill.io.load_record`.
 Nothing is changed in place: functions return new records or proposals.
 """
 
@@ -49,6 +50,7 @@ from ._record.diagnosis import Diagnosis as Diagnosis
 from ._record.record import Record as Record
 from ._record.saturation import find_saturated as find_saturated
 from ._record.spindle_harmonics import refine_spindle_speed as refine_spindle_speed
+from ._reversal.joint_motion import JointRecord as JointRecord
 from ._stiffness.experiment_design import suggest_load_tests as suggest_load_tests
 from ._stiffness.joint_stiffness import (
     fit_joint_stiffness as fit_joint_stiffness,
@@ -73,4 +75,5 @@ from ._study.modes import (
     RingDown as RingDown,
 )
 from ._study.records import ForceRecord as ForceRecord, ForceSettings as ForceSettings
+from ._study.reversal import ReversalStudy as ReversalStudy
 from ._study.study import Study as Study, StudyError as StudyError

@@ -31,6 +31,7 @@ from ._figure.identified import (
     plot_prediction as plot_prediction,
     plot_residual_spectrum as plot_residual_spectrum,
 )
+from ._figure.identified_reversal import plot_reversal as plot_reversal
 from ._figure.identified_robot import (
     plot_frequency_response as plot_frequency_response,
     plot_joint_values as plot_joint_values,

@@ -16,6 +16,7 @@ from .._schema.calibration import CalibrationTable
 from .._schema.compliance import with_bending_cutter, with_spring
 from .._schema.job import PoseTable, RobotTable
 from .context import FileContext
+from .reversal import with_reversal
 from .robot_file import check_springs, load_robot
 
 # A flange may lie so far below the tip by rounding [m].
@@ -107,6 +108,7 @@ def read_robot(
             context.notes.extend(_drive_notes(table, key, np.asarray(own), stated))
     robot = robot.with_drives(stiffness=stiffness, damping=damping)
     check_springs(robot, problems)
+    robot = with_reversal(robot, table.reversal, context)
     if table.tool_in_flange is not None:
         T_flange_tool = pose_matrix(table.tool_in_flange)
         context.notes.extend(_tool_notes(T_flange_tool))

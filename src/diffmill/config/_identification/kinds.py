@@ -8,6 +8,7 @@ from . import (
     kinematics,
     load_tests,
     mean_forces,
+    reversal,
     ring_down,
 )
 
@@ -22,5 +23,6 @@ KINDS = {
         coupled.KIND,
         controller.KIND,
         kinematics.KIND,
+        reversal.KIND,
     )
 }

@@ -246,6 +246,11 @@ class RobotTable(TomlTable):
         description='damping of every joint, such as ["1825 N*m*s/rad", ...]; that of '
         "the robot and drives if left out",
     )
+    reversal: StrictStr | None = Field(
+        default=None,
+        description="backlash and friction of a robot that was measured, "
+        '"kuka_kr300"; those of the robot and drives if left out',
+    )
     work_in_base: PoseTable | None = Field(
         default=None,
         description="pose of the workpiece in the base of the robot; required unless "

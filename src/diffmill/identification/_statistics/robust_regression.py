@@ -212,6 +212,19 @@ def robust_weight(r: np.ndarray, loss: str) -> np.ndarray:
     return _WEIGHTS[loss](size)
 
 
+def robust_slope(r: np.ndarray, loss: Loss) -> np.ndarray:
+    """Slopes psi'(r) of a loss for residuals in standard deviations.
+
+    Args:
+        r: Residuals, any shape.
+        loss: "squares", "huber" or "tukey".
+
+    Returns:
+        Slopes, at most 1, same shape.
+    """
+    return _SLOPES[loss](np.abs(r)).astype(np.float64)
+
+
 # psi(r) / r, and psi'(r): how much a sample resists a change of the fit.
 _WEIGHTS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "squares": lambda r: np.isfinite(r).astype(np.float64),

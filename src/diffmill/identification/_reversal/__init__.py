@@ -1,0 +1,1 @@
+"""Spring, reversal and delay of a joint from its two encoders and its torque."""
