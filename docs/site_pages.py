@@ -87,6 +87,7 @@ KINDS = {
     "Number": Kind("whole number of at least 0"),
     "PositiveLength": Kind("length above 0", "m"),
     "PositiveSpeed": Kind("speed above 0", "m/s"),
+    "ProbePoints": Kind("three points or more, not all on a line", "m"),
     "PositiveTime": Kind("time above 0", "s"),
     "Ratio": Kind("number from 0 to 1"),
     "TurnTolerance": Kind("angle of at least 0", "rad"),

@@ -182,9 +182,8 @@ class _Search:
         """Columns of what the set-ups leave open, of one part after the other."""
         from scipy.linalg import block_diag
 
-        return block_diag(*(seen.nuisance for seen in self.seen)).reshape(
-            sum(len(seen.value) for seen in self.seen), -1
-        )
+        blocks = np.asarray(block_diag(*(seen.nuisance for seen in self.seen)))
+        return blocks.reshape(sum(len(seen.value) for seen in self.seen), -1)
 
     def _system(self, x: np.ndarray):
         """Whitened columns and residuals, and the prior that suits them."""

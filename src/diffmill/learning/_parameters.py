@@ -12,7 +12,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._job import Job
-from .._types import FloatRows, RealScalarLike
+from .._types import FloatRows, RealScalarLike, Transform
+from ..cutting import AbstractForceLaw
 from ..process import FrozenStock, wall_deviation
 from ..robot import Robot, jacobian
 from ..sim import (
@@ -67,7 +68,7 @@ class MachinePrior(eqx.Module):
     gradient: float = 2e-4
 
 
-class Group(NamedTuple):
+class Group(eqx.Module):
     """Parameters of one kind, one after the other.
 
     Attributes:
@@ -76,9 +77,9 @@ class Group(NamedTuple):
         count: How many there are.
     """
 
-    name: str
-    first: int
-    count: int
+    name: str = eqx.field(static=True)
+    first: int = eqx.field(static=True)
+    count: int = eqx.field(static=True)
 
     @property
     def index(self) -> np.ndarray:
@@ -239,6 +240,7 @@ class AdaptableMachine(eqx.Module):
         motors = known.motor_positions_from_joints(joints)
         slopes = known.motor_slopes(joints, command)
         run = Solution.of_command(job, rigid, command, FrozenStock(), motors)
+        assert run.joint_positions is not None and run.motor_positions is not None
         given = motors, slopes, run.joint_positions, run.motor_positions
         shares = run.wall_share
         found = _columns(self, job, jnp.asarray(at), *given, self.force_slopes, shares)
@@ -265,7 +267,9 @@ def _rigid_force_slopes(job: Job) -> Float[Array, "step 3 coefficient"]:
     return jnp.stack([slope(k) for k in range(first, len(names) - 1)], axis=-1)
 
 
-def _robot_at(robot: Robot, friction: Array, backlash: Array, corner: float) -> Robot:
+def _robot_at(
+    robot: Robot, friction: Array, backlash: Array, corner: RealScalarLike
+) -> Robot:
     """Robot with more friction and gaps than its own."""
     coulomb, viscous = friction, jnp.zeros_like(friction)
     speed, presliding = jnp.full_like(friction, _FRICTION_SPEED), None
@@ -278,7 +282,7 @@ def _robot_at(robot: Robot, friction: Array, backlash: Array, corner: float) -> 
     return robot.with_backlash(gap, corner=corner)
 
 
-def _machine_at(machine: AdaptableMachine, x: Array, corner: float) -> Job:
+def _machine_at(machine: AdaptableMachine, x: Array, corner: RealScalarLike) -> Job:
     """Job with the machine of some parameters, its frame as it was."""
     job = machine.base
     values = dict(
@@ -304,17 +308,27 @@ def _machine_at(machine: AdaptableMachine, x: Array, corner: float) -> Job:
     return dataclasses.replace(scaled, robot=robot, nominal=job.nominal)
 
 
+class _TouchedOff(NamedTuple):
+    """What of a job follows from the parameters of its machine."""
+
+    robot: Robot
+    law: AbstractForceLaw
+    bottom_law: AbstractForceLaw | None
+    T_base_work: Transform
+
+
 @eqx.filter_jit
-def _frame_at(machine: AdaptableMachine, x: Array, corner: Array) -> tuple[Job, Array]:
-    job = _machine_at(machine, x, corner)
-    return job.robot, job.law, job.bottom_law, job.touched_off().T_base_work
+def _frame_at(
+    machine: AdaptableMachine, x: Array, corner: RealScalarLike
+) -> _TouchedOff:
+    job = _machine_at(machine, x, corner).touched_off()
+    assert job.robot is not None
+    return _TouchedOff(job.robot, job.law, job.bottom_law, job.T_base_work)
 
 
 def _touched_off(machine: AdaptableMachine, x: Array, corner: float) -> Job:
-    robot, law, bottom, frame = _frame_at(machine, x, jnp.asarray(corner))
-    return dataclasses.replace(
-        machine.base, robot=robot, law=law, bottom_law=bottom, T_base_work=frame
-    )
+    found = _frame_at(machine, x, jnp.asarray(corner))
+    return dataclasses.replace(machine.base, **found._asdict())
 
 
 @eqx.filter_jit
@@ -353,6 +367,7 @@ def _columns(
     torque = _torques(at, zero, joints, driven, period)
     torque = torque + _force_torques(machine, job, joints, force)
     problem = MachiningProblem.of(job, FrozenStock())
+    assert problem.machine is not None
     command = jnp.concatenate([motors, jnp.zeros_like(motors)], axis=1)
     run = linearise(problem.machine, problem.process, command)
     ends = run.move(jnp.concatenate([changes, torque], axis=1)).ends
@@ -384,8 +399,14 @@ def _frame_motion(
     at: Callable[[Array], Job], zero: Array, job: Job, desired: Float[Array, "step 3"]
 ) -> Float[Array, "step 3 parameter"]:
     """Motion of the tip in the work as the work's frame moves under it [m]."""
-    assert job.nominal is not None
-    frame = lambda change: job.nominal.touch_off(at(change).robot)
+    known = job.nominal
+    assert known is not None
+
+    def frame(change: Array) -> Float[Array, "4 4"]:
+        robot = at(change).robot
+        assert robot is not None
+        return known.touch_off(robot)
+
     T, dT = jnp.asarray(job.T_base_work), jax.jacfwd(frame)(zero)
     R, dR, dt = T[:3, :3], dT[:3, :3], dT[:3, 3]
     turned = jnp.einsum("bap,bc,kc->kap", dR, R, desired)
@@ -400,7 +421,8 @@ def _torques(
     period: RealScalarLike,
 ) -> Float[Array, "step joint parameter"]:
     """Slopes of the drives' torques in the parameters."""
-    v, rate = (jnp.gradient(rows, period, axis=0) for rows in (joints, motors))
+    of = lambda rows: jnp.asarray(jnp.gradient(rows, period, axis=0))
+    v, rate = of(joints), of(motors)
 
     def torque(change: Array) -> Float[Array, "step joint"]:
         robot = at(change).robot

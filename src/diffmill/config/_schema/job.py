@@ -195,12 +195,15 @@ def _spread(points: list[list[float]]) -> list[list[float]]:
     return points
 
 
+ProbePoints: TypeAlias = Annotated[
+    list[Lengths3], Field(min_length=3), AfterValidator(_spread)
+]
+
+
 class RegistrationTable(TomlTable):
     """`[registration]`."""
 
-    points: (
-        Annotated[list[Lengths3], Field(min_length=3), AfterValidator(_spread)] | None
-    ) = Field(
+    points: ProbePoints | None = Field(
         default=None,
         description="points of the work that are touched off on a machine that its "
         "controller does not know, three or more that are not on a line, such as "
