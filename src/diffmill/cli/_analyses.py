@@ -2,6 +2,7 @@
 
 import contextlib
 import ctypes
+import dataclasses
 import pathlib
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
 
 # Cases whose commands run on drawn machines, besides the corrected one.
 _TRUE_CASES = ("uncorrected", "mirror")
+# Tooth periods from which on they run on one of these machines alone.
+_LONG_ROWS = 20_000
 # xarray and the parts that compute are imported when a job runs.
 Dataset: TypeAlias = Any
 Solution: TypeAlias = Any
@@ -224,10 +227,14 @@ def _with_true_errors(run: FinishedRun, progress: Progress) -> Dataset:
     job, chosen = run.job, run.dataset.attrs.get("corrected_case")
     if chosen is None or job.robot is None or job.truth.draws == 0:
         return run.dataset
-    progress.say(f"{job.truth.draws} machines as [truth] draws them about the model")
+    truth, rows = job.truth, job.path.step_count
+    if rows > _LONG_ROWS and truth.draws > 1:
+        progress.say(f"one machine of [truth] alone: the path has {rows} tooth periods")
+        truth = dataclasses.replace(truth, draws=1)
+    progress.say(f"machines as [truth] draws them about the model: {truth.draws}")
     cases = [name for name in run.solutions if name in _TRUE_CASES or name == chosen]
     commands = {name: np.asarray(run.solutions[name].commanded) for name in cases}
-    errors = TrueErrors.of_commands(job, job.truth, commands)
+    errors = TrueErrors.of_commands(job, truth, commands)
     found = [
         f"{case} {1e6 * errors.median(case):.3g} [{1e6 * errors.worst(case):.3g}] um"
         if np.isfinite(errors.worst(case))

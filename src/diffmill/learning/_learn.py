@@ -32,7 +32,7 @@ OnProgress = Callable[[str], None]
 
 
 class LearnedMachine(eqx.Module):
-    """What parts that were cut say of a machine.
+    """Machine as parts that were cut show it.
 
     Attributes:
         job: The job with the machine as it was learnt, and what no parameter explains
@@ -157,7 +157,7 @@ class _Search:
         return np.asarray(run.surface_deviation) + self.machine.field(x, desired)
 
     def residuals(self, x: np.ndarray) -> list[np.ndarray]:
-        """What each part showed beyond the machine of some parameters [m]."""
+        """Deviation of each part beyond the machine of some parameters [m]."""
         return [
             seen.value - seen.of_rows(self.predicted(x, command))
             for seen, command in zip(self.seen, self.commands, strict=True)
@@ -213,7 +213,7 @@ class _Search:
         return x
 
     def outcome(self, x: np.ndarray) -> LearnedMachine:
-        """What was learnt with some parameters."""
+        """Machine that was learnt, with some parameters."""
         free, M, prior = self.last
         residuals = self.residuals(x)
         stacked, residual = self.weigh(residuals), np.concatenate(residuals)

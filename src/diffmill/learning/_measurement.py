@@ -42,7 +42,7 @@ class Seen(eqx.Module):
     is_tracked: bool = eqx.field(static=True)
 
     def of_rows(self, rows: Float[np.ndarray, "step 3 *more"]) -> np.ndarray:
-        """What would be seen of rows, shape (observation, ...)."""
+        """Observations of rows without noise, shape (observation, ...)."""
         lower, upper = rows[self.row], rows[np.minimum(self.row + 1, len(rows) - 1)]
         share = self.share.reshape(-1, *[1] * (rows.ndim - 1))
         between = (1 - share) * lower + share * upper

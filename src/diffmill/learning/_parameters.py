@@ -309,7 +309,7 @@ def _machine_at(machine: AdaptableMachine, x: Array, corner: RealScalarLike) -> 
 
 
 class _TouchedOff(NamedTuple):
-    """What of a job follows from the parameters of its machine."""
+    """Parts of a job that follow from the parameters of its machine."""
 
     robot: Robot
     law: AbstractForceLaw

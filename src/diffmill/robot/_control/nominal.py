@@ -97,7 +97,7 @@ class NominalRobot(eqx.Module):
 
         **Differentiability**: smooth in the machine, but for gears that carry nothing.
         """
-        found = self._found(machine)
+        found = self._probed_tips(machine)
         return _rigid_fit(self.T_base_work, jnp.asarray(self.probes), found)
 
     def probe_errors(self, machine: Robot) -> Float[Array, " probe"]:
@@ -110,12 +110,12 @@ class NominalRobot(eqx.Module):
 
         **Differentiability**: as `touch_off`, but where a distance is 0.
         """
-        found, frame = self._found(machine), self.touch_off(machine)
+        found, frame = self._probed_tips(machine), self.touch_off(machine)
         fitted = jnp.asarray(self.probes) @ frame[:3, :3].T + frame[None, :3, 3]
         return jnp.linalg.norm(found - fitted, axis=1)
 
-    def _found(self, machine: Robot) -> Float[Array, "probe 3"]:
-        """Where a machine's tip is when its controller takes it to be at the probes."""
+    def _probed_tips(self, machine: Robot) -> Float[Array, "probe 3"]:
+        """Tips of a machine whose controller takes them to be at the probes [m]."""
         motors = placed_motors(self.motor_places(machine), self.probe_motors)
         motors = jax.vmap(machine.transmitted)(motors)
         hold = jnp.zeros(machine.joint_count, machine.dtype)
