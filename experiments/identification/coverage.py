@@ -52,7 +52,8 @@ class Disturbance:
         force = cut.force(time)
         settled = draw.normal(size=(2000 + len(force), 3))
         share = np.sqrt(1 - self.colour**2)
-        noise = scipy.signal.lfilter([share], [1, -self.colour], settled, axis=0)
+        filtered = scipy.signal.lfilter([share], [1, -self.colour], settled, axis=0)
+        noise = np.asarray(filtered)
         line = (time - time[0])[:, None] * draw.normal(size=3)
         offset = self.offset * draw.normal(size=3)
         return force + self.noise * noise[2000:] + offset + self.drift * line

@@ -17,14 +17,11 @@ SPRING = FlangeSpring(
 def measure(report):
     """Print the table."""
     job = load()
-    machines = [
-        dm.sim.mismatched(
-            job,
-            dataclasses.replace(
-                machine, robot=SPRING.mounted_on(machine.robot), nominal=None
-            ),
-        )
-        for machine in drawn(job)
-    ]
+    machines = []
+    for machine in drawn(job):
+        assert machine.robot is not None
+        robot = SPRING.mounted_on(machine.robot)
+        other = dataclasses.replace(machine, robot=robot, nominal=None)
+        machines.append(dm.sim.mismatched(job, other))
     found = table(report, job, machines, tracked, rounds=2)
     judge(report, found, [(6.0, 7.0), (4.5, 5.5)])

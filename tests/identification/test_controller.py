@@ -100,7 +100,8 @@ def test_a_gap_of_the_record_is_left_out(tmp_path):
 def coloured(draw, shape, size=5e-6, rho=0.95):
     """Return noise of a tracker, correlated over some twenty rows [m]."""
     white = draw.normal(size=(300 + shape[0], *shape[1:]))
-    return size * lfilter([np.sqrt(1 - rho**2)], [1, -rho], white, axis=0)[300:]
+    noise = np.asarray(lfilter([np.sqrt(1 - rho**2)], [1, -rho], white, axis=0))
+    return size * noise[300:]
 
 
 def study(actual, time):

@@ -32,7 +32,8 @@ def test_a_displaced_link_is_touched_off(tmp_path):
     plain = dm.load_job(file)
     file.write_text(file.read_text() + DISPLACED)
     job = dm.load_job(file)
-    assert job.nominal is not None and len(job.nominal.probes) == 40
+    assert job.nominal is not None and job.robot is not None
+    assert len(job.nominal.probes) == 40
     away = np.asarray(job.T_base_work)[:3, 3] - np.asarray(plain.T_base_work)[:3, 3]
     np.testing.assert_allclose(np.linalg.norm(away), 0.4e-3, rtol=1e-6)
     assert any("[robot.calibration]: the controller is taken" in n for n in job.notes)
@@ -49,6 +50,7 @@ def test_points_of_the_registration(tmp_path):
     text = file.read_text()
     file.write_text(text + DISPLACED + POINTS)
     job = dm.load_job(file)
+    assert job.nominal is not None
     wanted = np.array([[0, 0, 0], [8e-3, 0, 0], [8e-3, 8e-3, 0]])
     np.testing.assert_allclose(job.nominal.probes, wanted, atol=1e-9)
     for points, message in (

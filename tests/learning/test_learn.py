@@ -72,6 +72,7 @@ def test_one_part_makes_the_next_one_better(job, truth):
     nominal = dm.simulate(truth, commanded=dm.correct(job).commanded).contour.rms
     assert after < 0.4 * nominal < before
     # What is expected holds what comes out, but for the noise that was learnt.
+    assert learnt.correction is not None
     expected = learnt.correction.after.contour.rms
     assert after < expected + 2 * NOISE
     assert learnt.gain > 100

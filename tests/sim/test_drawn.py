@@ -22,6 +22,16 @@ NONE = TruthSettings(
 )
 
 
+def coefficient(job):
+    assert isinstance(job.law, dm.cutting.LinearEdgeLaw)
+    return job.law.K_tc
+
+
+def robot_of(job):
+    assert job.robot is not None
+    return job.robot
+
+
 @pytest.fixture(scope="module")
 def job(tmp_path_factory):
     return dm.load_job(write_slides_job(tmp_path_factory.mktemp("job")))
@@ -31,9 +41,9 @@ def test_a_draw_of_no_size_is_the_model(job):
     machine = dm.sim.drawn_machine(job, NONE)
     model = job.with_precision()
     np.testing.assert_allclose(machine.T_base_work, model.T_base_work, atol=1e-12)
-    assert machine.robot.friction is None and machine.robot.backlash is None
+    assert robot_of(machine).friction is None and robot_of(machine).backlash is None
     np.testing.assert_allclose(
-        machine.robot.joint_stiffness, model.robot.joint_stiffness, rtol=1e-12
+        robot_of(machine).joint_stiffness, robot_of(model).joint_stiffness, rtol=1e-12
     )
     tips = np.asarray(job.path.positions)
     found = dm.sim.TrueErrors.of_commands(job, NONE, {"program": tips})
@@ -46,26 +56,33 @@ def test_a_draw_has_the_sizes_that_are_asked_for(job):
         NONE, stiffness=0.1, links=1e-3, force=0.2, force_bias=0.5, friction=2e-5
     )
     machines = [dm.sim.drawn_machine(job, sizes, k) for k in range(40)]
-    K = np.asarray(job.robot.joint_stiffness)
-    shares = np.array([m.robot.joint_stiffness / K - 1 for m in machines])
+    K = np.asarray(robot_of(job).joint_stiffness)
+    shares = np.array([robot_of(m).joint_stiffness / K - 1 for m in machines])
     assert np.abs(shares).max() <= 0.1 and np.abs(shares).max() > 0.09
     moved = np.array(
-        [m.robot.placement_positions - job.robot.placement_positions for m in machines]
+        [
+            robot_of(m).placement_positions - robot_of(job).placement_positions
+            for m in machines
+        ]
     )
     assert np.abs(moved).max() <= 1e-3 and np.abs(moved).max() > 0.9e-3
-    force = np.array([float(m.law.K_tc) / float(job.law.K_tc) for m in machines])
+    force = np.array([float(coefficient(m) / coefficient(job)) for m in machines])
     assert force.min() >= 1.5 * 0.8 - 1e-9 and force.max() <= 1.5 * 1.2 + 1e-9
-    bend = np.array([m.robot.friction.coulomb / K for m in machines])
+    laws = [robot_of(m).friction for m in machines]
+    bend = np.array([law.coulomb / K for law in laws if law is not None])
+    assert len(bend) == 40
     np.testing.assert_allclose(bend, 2e-5)
 
 
 def test_a_draw_repeats_by_its_seed_and_number(job):
     sizes = TruthSettings(seed=3)
     one, same, other = (dm.sim.drawn_machine(job, sizes, k) for k in (1, 1, 2))
-    np.testing.assert_array_equal(one.robot.joint_stiffness, same.robot.joint_stiffness)
-    assert np.any(one.robot.joint_stiffness != other.robot.joint_stiffness)
+    np.testing.assert_array_equal(
+        robot_of(one).joint_stiffness, robot_of(same).joint_stiffness
+    )
+    assert np.any(robot_of(one).joint_stiffness != robot_of(other).joint_stiffness)
     seeds = dm.sim.drawn_machine(job, dataclasses.replace(sizes, seed=4), 1)
-    assert np.any(one.robot.joint_stiffness != seeds.robot.joint_stiffness)
+    assert np.any(robot_of(one).joint_stiffness != robot_of(seeds).joint_stiffness)
 
 
 def test_a_job_states_the_machines(tmp_path):

@@ -198,6 +198,7 @@ def test_a_cycle_of_friction_takes_the_energy_of_its_loop():
     """4 F_c (X - z_s) over a slow cycle of amplitude X: a parallelogram."""
     F_c, X, n = 100.0, 1e-4, 4000
     friction = sticking(F_c).friction
+    assert friction is not None
     way = X * np.sin(2 * np.pi * np.arange(2 * n + 1) / n)
     z, work = jnp.zeros(1), 0.0
     for k, travel in enumerate(np.diff(way)):
@@ -336,6 +337,7 @@ def test_options_in_a_robot_file(tmp_path):
     assert_allclose(robot.backlash.gap, [1e-4, 0.0])
     assert_allclose(robot.friction.coulomb, [0.0, 20.0])
     assert_allclose(robot.friction.speed, [1e-3, 2e-3])
+    assert robot.friction.presliding is not None
     assert_allclose(robot.friction.presliding, [0.0, 3e-6])
     assert_allclose(robot.motors.inertia, [9.0, 30.0])
     assert_allclose(robot.motors.stiffness, [1e6, 2e6])

@@ -101,6 +101,7 @@ def test_a_flange_spring_of_the_machine_is_not_known(job):
     spring = rb.FlangeSpring(5.0, (0.0, 0.0, 0.05), (0.1, 0.1, 0.1), (1e5, 1e5, 1e5))
     machine = dataclasses.replace(job, robot=spring.mounted_on(job.robot))
     found = dm.simulate(dm.sim.mismatched(job, machine))
+    assert found.motor_positions is not None and machine.robot is not None
     assert found.motor_positions.shape[1] == machine.robot.joint_count > 3
     assert found.contour.rms > 1.05 * dm.simulate(job).contour.rms
 
@@ -118,4 +119,4 @@ def test_a_correction_of_the_job_includes_what_its_controller_does_not_know(job)
     truth = dm.sim.mismatched(job, machine)
     nominal = dm.simulate(truth, commanded=dm.correct(job).commanded)
     better = dm.correct(truth)
-    assert better["optimised"].contour.rms < 0.3 * nominal.contour.rms
+    assert better.after.contour.rms < 0.3 * nominal.contour.rms

@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Sequence
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import equinox as eqx
 import numpy as np
@@ -300,7 +300,7 @@ def find_shift(one: RegisteredRecord, shift_range: float | None) -> RegisteredRe
     good = shifts[costs <= (1 + _ALIKE) * costs.min()]
     near = np.abs(shifts - good[np.argmin(np.abs(good))]) <= 4 * step
     best = float(shifts[near][np.argmin(costs[near])])
-    best_shift = minimize_scalar(
+    best_shift: Any = minimize_scalar(
         cost, bounds=(best - step, best + step), options={"xatol": 1e-3 * step}
     )
     return dataclasses.replace(one, shift=float(best_shift.x))

@@ -8,7 +8,7 @@ a step removes first and looks at the stock afterwards.
 import functools
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -17,7 +17,6 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ..._arrays import is_traced
-from ..._types import RealScalarLike
 from ...cutter import AbstractCutter
 from .._pose import Pose
 from .interval import CutInterval
@@ -208,7 +207,7 @@ class RemovalWindow(eqx.Module):
         )
 
 
-def _widest_radius(cutter: AbstractCutter) -> RealScalarLike:
+def _widest_radius(cutter: AbstractCutter) -> Any:
     """Radius of the cutter with a run-out whose value is known [m]."""
     is_known = cutter.has_runout and not is_traced(cutter.runout)
     return cutter.nominal_radius + (abs(float(cutter.runout)) if is_known else 0.0)
