@@ -421,8 +421,8 @@ CALLS: dict[str, Callable[[], Call]] = {
     "robot.motor_positions": of_robot("motor_positions"),
     "robot.loaded_equilibrium": of_robot("loaded_equilibrium", rows(6, size=100.0)),
     "robot.NominalRobot.touch_off": lambda: Call(
-        lambda robot, K: known_arm().touch_off(robot.with_drives(stiffness=K)),
-        arm(),
+        lambda known, K: known[0].touch_off(known[1].with_drives(stiffness=K)),
+        (known_arm(), arm()),
         (jnp.asarray(arm().joint_stiffness),),
     ),
     "robot.placed_motors": lambda: Call(
@@ -931,6 +931,9 @@ LEFT_OUT = {
         "correction.JointLimits.*",
         "correction.TipPlant.run",
         "correction.TipPlant.linearised",
+        "learning.*",
+        "sim.drawn_machine",
+        "sim.TrueErrors.*",
         "sim.error_band",
         "sim.mismatch",
         "sim.simulate_with_slot_growth",
@@ -990,7 +993,6 @@ LEFT_OUT = {
         "process.Immersion.*",
         "robot.NominalRobot.motor_places",
         "robot.NominalRobot.probe_errors",
-        "robot.points_fix_a_frame",
         "robot.Robot.ancestry",
         "robot.Robot.light_joints",
         "robot.Robot.*_mask",

@@ -241,9 +241,10 @@ class AdaptableMachine(eqx.Module):
         slopes = known.motor_slopes(joints, command)
         run = Solution.of_command(job, rigid, command, FrozenStock(), motors)
         assert run.joint_positions is not None and run.motor_positions is not None
-        given = motors, slopes, run.joint_positions, run.motor_positions
-        shares = run.wall_share
-        found = _columns(self, job, jnp.asarray(at), *given, self.force_slopes, shares)
+        seen = _DrivenRun(
+            motors, slopes, run.joint_positions, run.motor_positions, run.wall_share
+        )
+        found = _columns(self, job, jnp.asarray(at), seen)
         return np.asarray(found) + self.field_columns(np.asarray(job.path.positions))
 
 
@@ -331,17 +332,27 @@ def _touched_off(machine: AdaptableMachine, x: Array, corner: float) -> Job:
     return dataclasses.replace(machine.base, **found._asdict())
 
 
+class _DrivenRun(eqx.Module):
+    """A run about which slopes are taken.
+
+    Attributes:
+        motors: Commanded motors, before the controller [rad or m], shape (step, joint).
+        slopes: Slopes of them in the commanded tip, shape (step, joint, 3).
+        joints: Where the joints are [rad or m], shape (step, joint).
+        driven: Motors behind the controller [rad or m], shape (step, joint).
+        wall_share: When in each period the wall is made, shape (step,).
+    """
+
+    motors: Float[Array, "step joint"]
+    slopes: Float[Array, "step joint 3"]
+    joints: Float[Array, "step joint"]
+    driven: Float[Array, "step joint"]
+    wall_share: Float[Array, " step"]
+
+
 @eqx.filter_jit
 def _columns(
-    machine: AdaptableMachine,
-    job: Job,
-    x: Array,
-    motors: Float[Array, "step joint"],
-    slopes: Float[Array, "step joint 3"],
-    joints: Float[Array, "step joint"],
-    driven: Float[Array, "step joint"],
-    force: Float[Array, "step 3 coefficient"],
-    shares: Float[Array, " step"],
+    machine: AdaptableMachine, job: Job, x: Array, around: _DrivenRun
 ) -> Float[Array, "step 3 parameter"]:
     """Slopes of the tip in all parameters but those of the field.
 
@@ -349,29 +360,26 @@ def _columns(
         machine: The machine.
         job: The job at its parameters, with round corners.
         x: These.
-        motors: Commanded motors, before the controller [rad or m].
-        slopes: Slopes of them in the commanded tip.
-        joints: Where the joints are [rad or m].
-        driven: Motors behind the controller [rad or m].
-        force: Slopes of the force on the tool in the logarithms of the coefficients.
-        shares: When in each period the wall is made.
+        around: The run.
     """
+    motors, joints = around.motors, around.joints
     desired, period = jnp.asarray(job.path.positions), job.tooth_period
     zero = jnp.zeros(machine.count, motors.dtype)
     at = lambda change: _machine_at(machine, x + change, jnp.asarray(_SMOOTH_CORNER))
     controller = job.controller
     moved = _frame_motion(at, zero, job, desired)
-    changes = jnp.einsum("kja,kap->kjp", slopes, moved)
+    changes = jnp.einsum("kja,kap->kjp", around.slopes, moved)
     if controller is not None:
         motors, changes = (controller.motors(y, period) for y in (motors, changes))
-    torque = _torques(at, zero, joints, driven, period)
-    torque = torque + _force_torques(machine, job, joints, force)
+    torque = _torques(at, zero, joints, around.driven, period)
+    torque = torque + _force_torques(machine, job, joints)
     problem = MachiningProblem.of(job, FrozenStock())
     assert problem.machine is not None
     command = jnp.concatenate([motors, jnp.zeros_like(motors)], axis=1)
     run = linearise(problem.machine, problem.process, command)
     ends = run.move(jnp.concatenate([changes, torque], axis=1)).ends
-    of = lambda ends: wall_deviation(ends, jnp.zeros_like(desired), shares)
+    shares, still = around.wall_share, jnp.zeros_like(desired)
+    of = lambda ends: wall_deviation(ends, still, shares)
     return jax.vmap(of, in_axes=-1, out_axes=-1)(ends)
 
 
@@ -379,7 +387,6 @@ def _force_torques(
     machine: AdaptableMachine,
     job: Job,
     joints: Float[Array, "step joint"],
-    force: Float[Array, "step 3 coefficient"],
 ) -> Float[Array, "step joint parameter"]:
     """Slopes of the joints' torques in the parameters of the force."""
     robot, R = job.robot, jnp.asarray(job.T_base_work)[:3, :3]
@@ -387,10 +394,10 @@ def _force_torques(
     group = machine.group("force")
     sizes = jnp.asarray(machine.sizes[group.index])
     # The first of the group is what all coefficients have in common.
-    together = sizes[0] * (sizes[1:] > 0)
+    together = jnp.where(sizes[1:] > 0, sizes[0], 0.0)
     own = jnp.concatenate([together[:, None], jnp.diag(sizes[1:])], axis=1)
     J = jax.vmap(lambda q: jacobian(robot, q)[:3])(joints)
-    torque = jnp.einsum("kbj,ba,kac,cp->kjp", J, R, force, own)
+    torque = jnp.einsum("kbj,ba,kac,cp->kjp", J, R, machine.force_slopes, own)
     found = jnp.zeros((*joints.shape, machine.count), torque.dtype)
     return found.at[:, :, group.index].set(torque)
 

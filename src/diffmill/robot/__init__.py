@@ -20,7 +20,6 @@ from ._control.controller import Controller as Controller
 from ._control.nominal import (
     NominalRobot as NominalRobot,
     placed_motors as placed_motors,
-    points_fix_a_frame as points_fix_a_frame,
 )
 from ._dynamics.crba import mass_matrix as mass_matrix
 from ._dynamics.energy import mechanical_energy as mechanical_energy

@@ -1,7 +1,7 @@
 """Types of values in a job file: text with a unit becomes an SI number here."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Annotated, TypeAlias
 
 from pydantic import BeforeValidator, Field, StrictInt
@@ -99,6 +99,30 @@ Modulus: TypeAlias = Annotated[
 Density: TypeAlias = Annotated[
     float, BeforeValidator(_read(q.DENSITY, sign="positive"))
 ]
+# Share of their extent by which points must lie beside a line.
+_LEAST_WIDTH = 1e-3
+
+
+def fix_a_frame(points: Sequence[Sequence[float]]) -> bool:
+    """True for points of which three are not on a line.
+
+    Args:
+        points: The points, each of three coordinates.
+    """
+    first = points[0]
+    arms = [[x - y for x, y in zip(p, first, strict=True)] for p in points]
+    longest = max(arms, key=lambda arm: math.hypot(*arm))
+    length = math.hypot(*longest)
+    x, y, z = longest
+
+    def width(arm: Sequence[float]) -> float:
+        a, b, c = arm
+        across = (b * z - c * y, c * x - a * z, a * y - b * x)
+        return math.hypot(*across)
+
+    return max(map(width, arms)) > _LEAST_WIDTH * length**2
+
+
 Lengths3: TypeAlias = Annotated[list[Length], Field(min_length=3, max_length=3)]
 Angles3: TypeAlias = Annotated[list[Angle], Field(min_length=3, max_length=3)]
 Angles4: TypeAlias = Annotated[list[Angle], Field(min_length=4, max_length=4)]

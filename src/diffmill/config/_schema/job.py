@@ -8,10 +8,8 @@ import dataclasses
 from collections.abc import Callable, Mapping
 from typing import Annotated, Literal, TypeAlias, TypeVar
 
-import numpy as np
 from pydantic import AfterValidator, Field, StrictBool, StrictInt, StrictStr
 
-from ...robot import points_fix_a_frame
 from ...settings.base import Settings
 from ...settings.correction import CorrectionSettings
 from ...settings.fields import (
@@ -27,6 +25,7 @@ from ...settings.fields import (
     SpindleSpeed,
     Stiffness,
     Tolerance,
+    fix_a_frame,
 )
 from ...settings.output import OutputSettings
 from ...settings.simulation import SimulationSettings
@@ -190,7 +189,7 @@ class PoseTable(TomlTable):
 
 def _spread(points: list[list[float]]) -> list[list[float]]:
     """Points that fix a frame."""
-    if not points_fix_a_frame(np.array(points)):
+    if not fix_a_frame(points):
         raise ValueError("found points on a line, but others are required")
     return points
 

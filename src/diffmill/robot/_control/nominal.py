@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..._types import Transform
+from ...settings.fields import fix_a_frame
 from .._algebra.rotations import rotation_matrix
 from .._dynamics.rnea import gravity_forces
 from .._kinematics.forward import forward_kinematics
@@ -17,20 +18,6 @@ from .._model.robot import Robot
 _FIT_STEPS = 3
 # Passes in which joints settle on their springs.
 _BALANCE_STEPS = 6
-# Share of their extent by which probed points must lie beside a line.
-_LEAST_WIDTH = 1e-3
-
-
-def points_fix_a_frame(points: Float[np.ndarray, "point 3"]) -> bool:
-    """True for three points or more that are not on a line.
-
-    Args:
-        points: The points [m], shape (point, 3).
-
-    **Differentiability**: none, a host function.
-    """
-    width = np.linalg.svd(points - points.mean(axis=0))[1]
-    return len(width) > 1 and bool(width[1] > _LEAST_WIDTH * width[0])
 
 
 class NominalRobot(eqx.Module):
@@ -56,7 +43,7 @@ class NominalRobot(eqx.Module):
         if isinstance(self.probes, jax.core.Tracer):
             return
         points = np.asarray(self.probes)
-        if not points_fix_a_frame(points):
+        if not fix_a_frame(points.tolist()):
             raise ValueError(
                 "Argument `probes` must have three points or more that are not on a "
                 f"line, but has {points.tolist()}."
