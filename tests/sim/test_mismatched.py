@@ -111,12 +111,3 @@ def test_what_is_no_machine_of_the_program_is_refused(job, square):
         dm.sim.mismatched(job, square)
     with pytest.raises(ValueError, match="`model` must have a robot"):
         dm.sim.mismatched(dataclasses.replace(job, robot=None), job)
-
-
-@pytest.mark.slow
-def test_a_correction_of_the_job_includes_what_its_controller_does_not_know(job):
-    machine = job.with_scaled(jnp.asarray([np.log(0.7)] * 6 + [0.1] * 3 + [0.0]))
-    truth = dm.sim.mismatched(job, machine)
-    nominal = dm.simulate(truth, commanded=dm.correct(job).commanded)
-    better = dm.correct(truth)
-    assert better.after.contour.rms < 0.3 * nominal.contour.rms
