@@ -89,6 +89,8 @@ class Job(eqx.Module):
         nominal: Robot and work as the controller knows them; None if the machine is as
             it knows it.
         truth: Machines on which the commands of a correction are run, too.
+        probes: Points of the work that are touched off on a machine that its controller
+            does not know [m], shape (probe, 3); rows of the path if None.
     """
 
     name: str = eqx.field(static=True)
@@ -116,6 +118,7 @@ class Job(eqx.Module):
     commanded: FloatRows3 | None = None
     nominal: NominalRobot | None = None
     truth: TruthSettings = TruthSettings()
+    probes: FloatRows3 | None = None
 
     def __check_init__(self):
         if self.robot is not None and self.modes is not None:

@@ -48,6 +48,28 @@ def test_columns_are_differences(job):
             assert away < share * np.sqrt(np.mean(numeric**2)), machine.names[k]
 
 
+@pytest.mark.slow
+def test_a_late_clock_is_not_learnt(job):
+    """A tracker that is 1 ms late on a machine as modelled: the set-up, no machine."""
+    model = dm.simulate(job)
+    program, period = np.asarray(model.time), float(job.tooth_period)
+    made = dl.wall_times(model)
+    of = lambda time, known, rows: np.stack(
+        [np.interp(time, known, row) for row in np.asarray(rows).T], axis=1
+    )
+    tips = of(made, program, model.desired) + np.asarray(model.surface_deviation)
+    seen, late = program[3:-3], 1e-3
+    noise = NOISE * np.random.default_rng(1).normal(size=(len(seen), 3))
+    tracked = dl.TrackedTips(
+        of(seen - late, made, tips) + noise, NOISE, seen, delay=period
+    )
+    part = dl.Part(job.path.positions, tracked)
+    learnt = dl.learn(job, [part], prior=PRIOR, corrects=False)
+    beyond = np.abs(learnt.job.path.disturbance)
+    feed = 0.05
+    assert beyond.max() < 0.15 * late * feed
+
+
 def test_samples_of_a_tracker_are_found_on_the_path(job):
     """A deviation that grows along the program, seen at times of its own and late."""
     rigid = dm.simulate(dataclasses.replace(job, robot=None))

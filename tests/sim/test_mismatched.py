@@ -73,7 +73,8 @@ def test_a_skewed_slide_shears_the_part(square):
     angle = 1e-3
     corners = np.array([[0, 0, 5], [24, 0, 5], [24, 18, 5], [0, 18, 5]]) / 1e3
     machine = skewed(square, angle)
-    found = dm.simulate(dm.sim.mismatched(square, machine, probes=corners))
+    probed = dataclasses.replace(square, probes=corners)
+    found = dm.simulate(dm.sim.mismatched(probed, machine))
     away = np.asarray(found.desired)[:, :2] - corners[:, :2].mean(0)
     wanted = -angle / 2 * away[:, ::-1]
     # The fit of a rectangle leaves some of the other half, too.

@@ -225,7 +225,10 @@ def _with_true_errors(run: FinishedRun, progress: Progress) -> Dataset:
     from ..sim import TrueErrors
 
     job, chosen = run.job, run.dataset.attrs.get("corrected_case")
-    if chosen is None or job.robot is None or job.truth.draws == 0:
+    if chosen is None or job.truth.draws == 0:
+        return run.dataset
+    if job.robot is None:
+        progress.say("no machine is drawn about the model: it has no joints")
         return run.dataset
     truth, rows = job.truth, job.path.step_count
     if rows > _LONG_ROWS and truth.draws > 1:

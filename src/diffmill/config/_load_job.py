@@ -438,11 +438,12 @@ def _assemble(
         timing=None if parts.timed is None else parts.timed.timing,
         commanded=parts.commanded,
         truth=tables.truth,
+        probes=_probes(tables),
     )
     more = end_notes(job, parts.joints)
     if parts.nominal is not None:
         model = dataclasses.replace(job, robot=parts.nominal)
-        job = mismatched(model, job, probes=_probes(tables))
+        job = mismatched(model, job)
         more = [*more, calibration_note(job)]
     return dataclasses.replace(job, notes=(*job.notes, *more))
 

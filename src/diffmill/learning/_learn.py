@@ -16,11 +16,11 @@ from ..sim import Solution, rigid_cut
 from ._measurement import Part, wall_times
 from ._parameters import AdaptableMachine, MachinePrior, Rows3
 from ._posterior import (
+    Linearised,
     Processes,
     Stacked,
     chosen_prior,
     processes,
-    solved,
     whitened,
 )
 
@@ -107,19 +107,20 @@ def learn(
     tell = on_progress or (lambda message: None)
     job = job.with_precision()
     if job.robot is None:
-        raise ValueError("Argument `job` must have a robot, but its machine is rigid.")
+        raise ValueError("Argument `job` must have a robot, but has none.")
     if not parts:
         raise ValueError("Argument `parts` must have a part, but is empty.")
     machine = AdaptableMachine.of_job(job, prior or MachinePrior())
     search = _Search(job, machine, tuple(parts))
-    x = np.zeros(machine.count) if known is None else known.parameters.copy()
+    x = np.zeros(machine.count) if known is None else known.parameters
     for _ in range(_FIRST_STEPS if known is None else _LATER_STEPS):
         tell("what the machine does beyond its model")
-        x = search.step(x)
-        if search.gain < _LEAST_GAIN:
+        system = search.linearised(x)
+        if system.gain < _LEAST_GAIN:
             tell("the parts show nothing that the model does not know")
             break
-    found = search.outcome(x)
+        x = search.step(x, system)
+    found = search.outcome(x, system)
     if not corrects:
         return found
     tell("next command")
@@ -132,19 +133,25 @@ def learn(
 
 
 class _Search:
-    """Gauss-Newton on the parameters of a machine, the process integrated out."""
+    """Gauss-Newton on the parameters of a machine, the process integrated out.
+
+    Attributes:
+        set_up: What the set-ups of the measurements leave open, of one part after the
+            other, in units of its priors, shape (nuisance,).
+    """
 
     def __init__(self, job: Job, machine: AdaptableMachine, parts: tuple[Part, ...]):
         self.job, self.machine = job, machine
         self.commands = [np.asarray(part.commanded) for part in parts]
         self.rigid = rigid_cut(machine.base, FrozenStock())
         program = jnp.asarray(job.path.positions)
-        model = Solution.of_command(machine.base, self.rigid, program, FrozenStock())
-        self.shares, self.model = model.wall_share, model
-        self.cuts = np.asarray(model.is_cutting)
-        self.seen = tuple(part.measured.seen(job, model) for part in parts)
+        self.model = Solution.of_command(
+            machine.base, self.rigid, program, FrozenStock()
+        )
+        self.seen = tuple(part.measured.seen(job, self.model) for part in parts)
         self.weights = np.ones(len(parts))
-        self.gain = 0.0
+        self.free = np.flatnonzero(machine.is_free)
+        self.set_up = np.zeros(sum(s.nuisance.shape[1] for s in self.seen))
 
     def predicted(self, x: np.ndarray, command: FloatRows3) -> Rows3:
         """Deviation of the tip at the wall instants with some parameters [m]."""
@@ -157,11 +164,15 @@ class _Search:
         return np.asarray(run.surface_deviation) + self.machine.field(x, desired)
 
     def residuals(self, x: np.ndarray) -> list[np.ndarray]:
-        """Deviation of each part beyond the machine of some parameters [m]."""
-        return [
-            seen.value - seen.of_rows(self.predicted(x, command))
-            for seen, command in zip(self.seen, self.commands, strict=True)
-        ]
+        """Deviation of each part beyond the machine and the set-ups [m]."""
+        found, first = [], 0
+        for seen, command in zip(self.seen, self.commands, strict=True):
+            last = first + seen.nuisance.shape[1]
+            known = seen.of_rows(self.predicted(x, command))
+            known = known + seen.nuisance @ self.set_up[first:last]
+            found.append(seen.value - known)
+            first = last
+        return found
 
     def weigh(self, residuals: list[np.ndarray]) -> Stacked:
         """Observations in which older parts count less by what changed since."""
@@ -185,48 +196,45 @@ class _Search:
         blocks = np.asarray(block_diag(*(seen.nuisance for seen in self.seen)))
         return blocks.reshape(sum(len(seen.value) for seen in self.seen), -1)
 
-    def _system(self, x: np.ndarray):
-        """Whitened columns and residuals, and the prior that suits them."""
+    def linearised(self, x: np.ndarray) -> Linearised:
+        """Whitened columns and residuals about some parameters, and their prior."""
         residuals = self.residuals(x)
         stacked = self.weigh(residuals)
         residual = np.concatenate(residuals)
         found = processes(stacked, residual)
-        free = np.flatnonzero(self.machine.is_free)
-        columns = np.concatenate([self.slopes(x)[:, free], self.nuisance()], axis=1)
-        white = whitened(
-            stacked, found, np.concatenate([residual[:, None], columns], axis=1)
-        )
-        M, r = white[:, 1:], white[:, 0]
-        at = np.r_[x[free], np.zeros(M.shape[1] - len(free))]
-        prior = chosen_prior(self.machine, free, M, r + M @ at)
-        self.gain = prior.gain + found.gain
-        return free, at, M, r, prior
+        columns = [residual[:, None], self.slopes(x)[:, self.free], self.nuisance()]
+        white = whitened(stacked, found, np.concatenate(columns, axis=1))
+        r, M = white[:, 0], white[:, 1:]
+        at = np.r_[x[self.free], self.set_up]
+        prior = chosen_prior(self.machine, self.free, M, r + M @ at)
+        return Linearised(at, M, r, prior, prior.gain + found.gain)
 
-    def step(self, x: np.ndarray) -> np.ndarray:
-        """Parameters after a Gauss-Newton step."""
-        free, at, M, r, prior = self._system(x)
-        lower = np.r_[self.machine.lower[free], np.full(len(at) - len(free), -np.inf)]
+    def step(self, x: np.ndarray, system: Linearised) -> np.ndarray:
+        """Parameters after a Gauss-Newton step, which also takes the set-ups."""
+        count = len(self.free)
+        no_bound = np.full(len(self.set_up), -np.inf)
+        found = system.solved(np.r_[self.machine.lower[self.free], no_bound])
         x = x.copy()
-        if self.gain >= _LEAST_GAIN:
-            x[free] = solved(at, lower, prior, M, r)[: len(free)]
-        self.last = free, M, prior
+        x[self.free], self.set_up = found[:count], found[count:]
         return x
 
-    def outcome(self, x: np.ndarray) -> LearnedMachine:
-        """Machine that was learnt, with some parameters."""
-        free, M, prior = self.last
+    def outcome(self, x: np.ndarray, system: Linearised) -> LearnedMachine:
+        """Machine that was learnt, with some parameters.
+
+        Args:
+            x: The parameters.
+            system: The last one, whose covariance holds.
+        """
         residuals = self.residuals(x)
         stacked, residual = self.weigh(residuals), np.concatenate(residuals)
-        found = processes(stacked, residual)
-        mean, deviation = self._disturbance(stacked, found, residual)
-        if self.gain < _LEAST_GAIN:
+        mean, deviation = self._disturbance(
+            stacked, processes(stacked, residual), residual
+        )
+        if system.gain < _LEAST_GAIN:
             mean = np.zeros_like(mean)
-        inverse = np.linalg.inv(prior.root)
+        count = len(self.free)
         covariance = np.zeros((self.machine.count, self.machine.count))
-        at = np.ix_(free, free)
-        covariance[at] = np.linalg.inv(inverse.T @ inverse + M.T @ M)[
-            : len(free), : len(free)
-        ]
+        covariance[np.ix_(self.free, self.free)] = system.covariance()[:count, :count]
         desired = np.asarray(self.job.path.positions)
         adapted = self.machine.job_at(x)
         path = dataclasses.replace(
@@ -240,7 +248,7 @@ class _Search:
             sizes=self.machine.sizes,
             disturbance=mean,
             uncertainty=deviation,
-            gain=self.gain,
+            gain=system.gain,
             machine=self.machine,
         )
 

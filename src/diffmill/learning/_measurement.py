@@ -73,9 +73,10 @@ class TrackedTips(AbstractMeasurement):
     """The tip over time, as a tracker sees it.
 
     Attributes:
-        time: Since the program began [s], shape (sample,); None for the wall instants
-            of the rows.
-        tips: Tips in `work` [m], shape (sample, 3).
+        tips: Tips in `work` [m], shape (sample, 3); without times one for each row: the
+            desired tip with the deviation that was measured when its wall was made, as
+            `Solution.desired + Solution.surface_deviation`.
+        time: Since the program began [s], shape (sample,); None for a tip for each row.
         noise: Standard deviation of each coordinate [m].
         offset: That of where the tracker takes the work to be, along each axis [m].
         turn: That of how it takes it to be turned, about each axis [rad].
@@ -160,7 +161,17 @@ class WallPoints(AbstractMeasurement):
     offset: RealScalarLike = 0.0
 
     def seen(self, job: Job, rigid: Solution) -> Seen:
-        """One scalar observation for each point of a wall or floor."""
+        """One scalar observation for each point of a wall or floor.
+
+        Raises:
+            ValueError: The cutter is not flat or leans, nothing is cut, or a point lies
+                beside what is cut.
+        """
+        if float(job.cutter.corner_radius) > 0 or job.simulation.axes:
+            raise ValueError(
+                "Argument `job` must have a flat cutter along +z for points of walls, "
+                "which its axis passes at a radius, but has another one."
+            )
         points = np.asarray(self.points, np.float64)
         normals = np.asarray(self.normals, np.float64)
         normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)

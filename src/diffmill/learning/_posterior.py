@@ -109,26 +109,59 @@ def _whiten(process: PathProcess, seen: Observations, rows: jax.Array) -> jax.Ar
 
 
 class Prior(NamedTuple):
-    """Prior of the free unknowns, with the group sizes of the largest likelihood.
+    """Prior of the unknowns, with the group sizes of the largest likelihood.
 
     Attributes:
-        root: L, L L^T the covariance, shape (unknown, unknown).
-        gain: How much more likely the parameters make what was seen, logarithm.
-        shares: Share of its prior that each set of groups has.
+        scale: Standard deviation of each unknown, in units of its full prior.
+        gain: How much more likely the unknowns make what was seen, logarithm.
     """
 
-    root: Float[np.ndarray, "unknown unknown"]
+    scale: Float[np.ndarray, " unknown"]
     gain: float
-    shares: tuple[float, ...]
+
+
+class Linearised(NamedTuple):
+    """Linear least squares for the unknowns about some values of them.
+
+    Attributes:
+        unknowns: The values: free parameters, then what set-ups leave open.
+        slopes: Whitened slopes of the observations, shape (observation, unknown).
+        residual: Whitened residual at the values, shape (observation,).
+        prior: Prior that suits them.
+        gain: How much more likely unknowns and process make what was seen, logarithm.
+    """
+
+    unknowns: Float[np.ndarray, " unknown"]
+    slopes: Float[np.ndarray, "observation unknown"]
+    residual: Float[np.ndarray, " observation"]
+    prior: Prior
+    gain: float
+
+    def solved(self, lower: Float[np.ndarray, " unknown"]) -> np.ndarray:
+        """Unknowns after a step, within their lower bounds and a trust region.
+
+        Args:
+            lower: The bounds, shape (unknown,).
+        """
+        from scipy.optimize import lsq_linear
+
+        x, scale = self.unknowns, self.prior.scale
+        rows = np.concatenate([np.diag(1 / scale), self.slopes])
+        right = np.concatenate([-x / scale, self.residual])
+        Q, R = np.linalg.qr(rows)
+        low = np.maximum(lower - x, -_TRUST) - 1e-9
+        high = np.full(len(x), _TRUST) + 1e-9
+        return x + lsq_linear(R, Q.T @ right, bounds=(low, high)).x
+
+    def covariance(self) -> Float[np.ndarray, "unknown unknown"]:
+        """Covariance of the unknowns, in units of their full priors."""
+        return np.linalg.inv(
+            np.diag(1 / self.prior.scale**2) + self.slopes.T @ self.slopes
+        )
 
 
 def chosen_prior(
-    machine: AdaptableMachine,
-    free: np.ndarray,
-    slopes: np.ndarray,
-    seen: np.ndarray,
-    *,
-    nuisance: int = 0,
+    machine: AdaptableMachine, free: np.ndarray, slopes: np.ndarray, seen: np.ndarray
 ) -> Prior:
     """Prior whose groups have the sizes of the largest marginal likelihood.
 
@@ -136,8 +169,7 @@ def chosen_prior(
         machine: The machine.
         free: Indices of the free parameters.
         slopes: Whitened columns, those of a measurement's set-up last.
-        seen: Whitened observations with the parameters at zero.
-        nuisance: How many columns are of the set-up.
+        seen: Whitened observations with the unknowns at zero.
     """
     groups = {
         group.name: np.flatnonzero(np.isin(free, group.index))
@@ -146,7 +178,7 @@ def chosen_prior(
     sets = [np.concatenate([groups[n] for n in names]) for names in _TOGETHER]
     sets = [index for index in sets if len(index)]
     G, h = slopes.T @ slopes, slopes.T @ seen
-    best = Prior(np.eye(len(G)), -np.inf, ())
+    best = Prior(np.ones(len(G)), -np.inf)
     for shares in itertools.product(_SHARES, repeat=len(sets)):
         scale = np.ones(len(G))
         for index, share in zip(sets, shares, strict=True):
@@ -156,25 +188,5 @@ def chosen_prior(
         b = np.linalg.solve(C, scale * h)
         gain = 0.5 * b @ b - np.sum(np.log(np.diag(C)))
         if gain > best.gain:
-            best = Prior(np.diag(scale), float(gain), shares)
-    del nuisance
+            best = Prior(scale, float(gain))
     return best
-
-
-def solved(
-    x: np.ndarray,
-    lower: np.ndarray,
-    prior: Prior,
-    slopes: np.ndarray,
-    residual: np.ndarray,
-) -> np.ndarray:
-    """Unknowns after a Gauss-Newton step, within their bounds and a trust region."""
-    from scipy.optimize import lsq_linear
-
-    inverse = np.linalg.inv(prior.root)
-    rows = np.concatenate([inverse, slopes])
-    right = np.concatenate([-inverse @ x, residual])
-    Q, R = np.linalg.qr(rows)
-    low = np.maximum(lower - x, -_TRUST) - 1e-9
-    high = np.full(len(x), _TRUST) + 1e-9
-    return x + lsq_linear(R, Q.T @ right, bounds=(low, high)).x

@@ -8,7 +8,6 @@ import numpy as np
 from jaxtyping import Float
 
 from ..._job import Job
-from ..._types import FloatRows3
 from ...robot import NominalRobot
 from .._machine.commands import JobKinematics
 
@@ -16,7 +15,7 @@ from .._machine.commands import JobKinematics
 _PROBES = 40
 
 
-def mismatched(model: Job, machine: Job, *, probes: FloatRows3 | None = None) -> Job:
+def mismatched(model: Job, machine: Job) -> Job:
     """Job whose machine is another one than its controller knows.
 
     The controller turns the program into motor positions by the model: its links, tool,
@@ -25,12 +24,11 @@ def mismatched(model: Job, machine: Job, *, probes: FloatRows3 | None = None) ->
     are touched off at rest.
 
     Args:
-        model: What the controller knows; its machine must be a robot.
+        model: What the controller knows; its machine must be a robot. The work is
+            touched off at its `probes`, or at 40 rows of the path at equal distances.
         machine: The same program on the other machine: robot, force law, cutter and
             controller may differ. The robot has as many motors; virtual joints, as of a
             flange spring, may come to it.
-        probes: Points of the work that are touched [m], shape (probe, 3), not all on a
-            line; 40 rows of the path at equal distances if not given.
 
     Returns:
         The job: `simulate` runs its program, `correct` corrects it for the machine.
@@ -51,7 +49,9 @@ def mismatched(model: Job, machine: Job, *, probes: FloatRows3 | None = None) ->
         )
     known = model.as_known
     assert known.robot is not None
-    points = _path_points(model) if probes is None else np.asarray(probes, np.float64)
+    points = _path_points(model)
+    if model.probes is not None:
+        points = np.asarray(model.probes, np.float64)
     dtype = known.robot.dtype
     nominal = NominalRobot(
         robot=known.robot,
