@@ -317,5 +317,5 @@ def test_the_simulation_grows_and_decays_as_predicted(share):
 
 
 def test_a_row_that_is_not_there_is_refused():
-    with pytest.raises(ValueError, match="from 1 to 123"):
+    with pytest.raises(ValueError, match="from 1 to 412"):
         growth(1e-3, rows=(0,))
