@@ -42,6 +42,27 @@ class MachinePosterior(eqx.Module):
     disturbance: Rows3
     uncertainty: Rows3
 
+    @classmethod
+    def of_prior(cls, job: Job, prior: MachinePrior) -> "MachinePosterior":
+        """What is known before any part: the model, and how far it may be off.
+
+        Args:
+            job: The job, in its precision.
+            prior: Sizes of what may be wrong.
+        """
+        machine = AdaptableMachine.of_job(job, prior)
+        desired = np.asarray(job.path.positions, np.float64)
+        return cls(
+            mean=np.zeros(machine.count),
+            covariance=np.diag(machine.is_free.astype(float)),
+            sizes=machine.sizes,
+            names=machine.names,
+            center=machine.center,
+            desired=desired,
+            disturbance=np.zeros_like(desired),
+            uncertainty=np.zeros_like(desired),
+        )
+
     def machine_for(self, job: Job) -> AdaptableMachine:
         """Machine of a job, as a function of these parameters.
 
