@@ -152,7 +152,9 @@ def fit_mean_forces(
     both = np.zeros((6, 6))
     both[:3, :3], both[3:, 3:] = by_slope / unit, by_offset
     both[:3, 3:] = -by_slope @ rub @ by_offset
-    curvature = np.zeros(3)
+    line = np.linalg.lstsq(X, mean, rcond=None)[0]
+    values = both @ line.reshape(-1)
+    curvature = bend @ values[:3]
     # A hundredth of the force: each turn leaves a hundredth of what the one before did.
     for _ in range(_TURNS):
         line = np.linalg.lstsq(X, mean - feeds[:, None] ** 2 * curvature, rcond=None)[0]
