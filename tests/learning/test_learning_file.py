@@ -167,15 +167,18 @@ def test_another_machine_is_refused(folder):
         dm.load_job(folder / "job.toml")
 
 
-def test_draws_scatter_as_they_are_said_to(folder):
+def test_machines_are_drawn_as_they_are_said_to_scatter(folder):
     job = dm.load_job(folder / "job.toml").with_precision()
-    known, stream = posterior(job), np.random.default_rng(3)
-    machine = known.machine_for(job)
-    draws = np.stack([known.draw(machine, stream) for _ in range(400)])
-    free = ~np.isfinite(machine.lower)
-    np.testing.assert_allclose(draws[:, free].std(axis=0), 0.1, rtol=0.15)
-    np.testing.assert_allclose(draws[:, free].mean(axis=0), known.mean[free], atol=0.02)
-    assert (draws[:, ~free] >= 0).all()
+    known = posterior(job)
+    jobs = known.drawn_jobs(job, 60, seed=3)
+    springs = lambda one: np.asarray(one.robot.joint_stiffness)
+    away = np.log(np.stack([springs(one) for one in jobs]) / springs(job))
+    # A tenth of the prior's 10 %.
+    np.testing.assert_allclose(away.std(), 0.01, rtol=0.15)
+    coulomb = lambda one: np.asarray(one.robot.friction.coulomb)
+    friction = np.stack([coulomb(one) for one in jobs])
+    np.testing.assert_allclose(friction[:, 0].mean(), 10.0, rtol=0.1)
+    assert (friction >= 0).all()
 
 
 def test_check_says_what_a_file_holds(folder, capsys):
