@@ -21,6 +21,7 @@ from ..sim import (
     MachiningProblem,
     Run,
     Solution,
+    drive_torques,
     linearise,
     mismatched,
     rigid_cut,
@@ -371,7 +372,7 @@ def _columns(
     changes = jnp.einsum("kja,kap->kjp", around.slopes, moved)
     if controller is not None:
         motors, changes = (controller.motors(y, period) for y in (motors, changes))
-    torque = _torques(at, zero, joints, around.driven, period)
+    torque = drive_torques(at, zero, joints, around.driven, period)
     torque = torque + _force_torques(machine, job, joints)
     problem = MachiningProblem.of(job, FrozenStock())
     assert problem.machine is not None
@@ -418,27 +419,3 @@ def _frame_motion(
     R, dR, dt = T[:3, :3], dT[:3, :3], dT[:3, 3]
     turned = jnp.einsum("bap,bc,kc->kap", dR, R, desired)
     return turned - jnp.einsum("ba,bp->ap", R, dt)[None]
-
-
-def _torques(
-    at: Callable[[Array], Job],
-    zero: Array,
-    joints: Float[Array, "step joint"],
-    motors: Float[Array, "step joint"],
-    period: RealScalarLike,
-) -> Float[Array, "step joint parameter"]:
-    """Slopes of the drives' torques in the parameters."""
-    of = lambda rows: jnp.asarray(jnp.gradient(rows, period, axis=0))
-    v, rate = of(joints), of(motors)
-
-    def torque(change: Array) -> Float[Array, "step joint"]:
-        robot = at(change).robot
-        assert robot is not None
-
-        def of_row(q: Array, v: Array, theta: Array, rate: Array) -> Array:
-            gear = robot.gear_torque(theta - q, rate - v).torque
-            return gear - robot.friction_torque(v)
-
-        return jax.vmap(of_row)(joints, v, motors, rate)
-
-    return jax.jacfwd(torque)(zero)
