@@ -19,7 +19,12 @@ from ._learn import (
     LearnedMachine as LearnedMachine,
     learn as learn,
 )
+from ._machine_posterior import MachinePosterior as MachinePosterior
 from ._measurement import (
+    AbstractMeasurement as AbstractMeasurement,
+    LinkEncoders as LinkEncoders,
+    MeasuredForces as MeasuredForces,
+    Observables as Observables,
     Part as Part,
     TrackedTips as TrackedTips,
     WallPoints as WallPoints,
