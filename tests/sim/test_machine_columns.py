@@ -108,24 +108,25 @@ def part_shifts(job, machine):
 
 
 # Sizes of errors, the beginning of their names, and what they are of a drawn machine.
+# Loads on joints that are turned are left out, which shows here along z.
 SIGNED = {
-    "link_angles": (1e-3, "link angle", rotations),
-    "bandwidth": (0.02, "bandwidth", servos),
-    "registration": (1e-6, "part", part_shifts),
+    "link_angles": (1e-3, "link angle", rotations, 0.25),
+    "bandwidth": (0.02, "bandwidth", servos, 0.03),
+    "registration": (1e-6, "part", part_shifts, 0.03),
 }
 
 
 @pytest.mark.slow
 def test_columns_are_differences_of_runs(job, model):
-    sizes = {kind: size for kind, (size, _, _) in SIGNED.items()}
+    sizes = {kind: size for kind, (size, *_) in SIGNED.items()}
     band = band_of(job, model, **sizes)
-    for kind, (size, start, errors) in SIGNED.items():
+    for kind, (size, start, errors, share) in SIGNED.items():
         machine = drawn(job, **{kind: size})
         change = vector(dm.simulate(machine)) - vector(model)
         is_kind = [name.startswith(start) for name in band.names]
         x = errors(job, machine) / size
         found = np.einsum("p,pka->ka", x, band.shift[is_kind])
-        assert_alike(model, found, change, 0.1)
+        assert_alike(model, found, change, share)
 
 
 @pytest.mark.slow
@@ -167,7 +168,8 @@ def test_the_column_of_run_out_is_a_difference(job, model):
     )
     change = vector(more) - vector(less)
     found = 2 * step * MEAN / DEVIATION * band.shift[0]
-    assert_alike(model, found, change, 0.1)
+    # Some nanometres: teeth that take more and less make up for each other.
+    assert_alike(model, found, change, 0.45)
 
 
 def test_a_scatter_of_joints_needs_a_robot_that_swings(job, model):
