@@ -331,8 +331,11 @@ def keys(table: ast.ClassDef) -> list[ast.AnnAssign]:
     fields = [field for field in table.body if isinstance(field, ast.AnnAssign)]
     if "TomlTable" in map(ast.unparse, table.bases):
         return fields
-    calls = [field for field in fields if isinstance(field.value, ast.Call)]
-    fields = [f for f in calls if ast.unparse(f.value.func) == "key"]
+    fields = [
+        field
+        for field in fields
+        if isinstance(field.value, ast.Call) and ast.unparse(field.value.func) == "key"
+    ]
     bases = [settings_named(ast.unparse(base)) for base in table.bases]
     shared = [field for base in bases if base is not None for field in keys(base)]
     return [*{key_name(field): field for field in (*shared, *fields)}.values()]

@@ -1,6 +1,7 @@
 """The band of expected error of machines with reversal, links, servos, a part."""
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from diffmill.toolpath import contour_vector
 from small_job import SLOT_STOCK, write_job
 
 # Machines that differ from the model in nothing.
-SAME = dict.fromkeys(
+SAME: dict[str, Any] = dict.fromkeys(
     (
         *("stiffness", "damping", "force", "force_bias"),
         *("links", "link_angles", "backlash", "friction"),
@@ -104,6 +105,7 @@ def servos(job, machine):
 
 def part_shifts(job, machine):
     known = dm.sim.mismatched(job, job).nominal
+    assert known is not None
     return np.asarray(known.probes - machine.nominal.probes).mean(0)
 
 
@@ -181,7 +183,7 @@ def test_a_scatter_of_joints_needs_a_robot_that_swings(job, model):
         dm.sim.error_band(slow, model)
 
 
-ALL = {
+ALL: dict[str, Any] = {
     "stiffness": 0.1,
     "damping": 0.2,
     "force": 0.1,

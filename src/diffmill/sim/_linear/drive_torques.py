@@ -61,6 +61,7 @@ def _friction(
     if law is None or law.presliding is None:
         return jax.vmap(robot.friction_torque)(v)
     first = law.steady_bristles(v[0])
+    assert first is not None
 
     def moved(z: Array, way: Array) -> tuple[Array, Array]:
         z = law.moved_bristles(z, way)

@@ -60,11 +60,14 @@ class MachineColumns(eqx.Module):
             SimulationFailed: The mean machine does not run.
         """
         sizes = MachineErrors.sizes(job, settings)
+        shares = lambda signed, positive: sizes.each_by(
+            lambda name, size: size * (positive if name in POSITIVE else signed)
+        )
         scatter = _Scatter(
             job,
             nominal_robot(job),
-            _parts(sizes, 0.0, _MEAN),
-            _parts(sizes, 1.0, _DEVIATION),
+            shares(0.0, _MEAN),
+            shares(1.0, _DEVIATION),
             settings.presliding,
         )
         commanded = jnp.asarray(solution.commanded)
@@ -91,21 +94,6 @@ class MachineColumns(eqx.Module):
         names = sizes.names(job)
         shift = _shifts(scatter, driven, jnp.asarray(kept))
         return cls(mean, np.asarray(shift), tuple(names[k] for k in kept))
-
-
-def _parts(sizes: MachineErrors, signed: float, positive: float) -> MachineErrors:
-    """Errors as shares of their sizes, those that are not negative by another."""
-    shares = {
-        field.name: positive if field.name in POSITIVE else signed
-        for field in dataclasses.fields(sizes)
-    }
-    given = {name: getattr(sizes, name) for name in shares}
-    return MachineErrors(
-        **{
-            name: None if size is None else shares[name] * np.asarray(size)
-            for name, size in given.items()
-        }
-    )
 
 
 def _with_round_gaps(job: Job) -> Job:

@@ -1,6 +1,8 @@
 """Errors of a machine about its model, and the machine that has them."""
 
 import dataclasses
+from collections.abc import Callable
+from dataclasses import fields
 
 import equinox as eqx
 import jax
@@ -89,6 +91,15 @@ class MachineErrors(eqx.Module):
             runout=np.asarray(settings.runout) if settings.runout > 0 else None,
         )
 
+    def each_by(
+        self, change: Callable[[str, np.ndarray], np.ndarray]
+    ) -> "MachineErrors":
+        """Errors that are changed, each by a function of its name and its value."""
+        own = {field.name: getattr(self, field.name) for field in fields(self)}
+        given = {name: x for name, x in own.items() if x is not None}
+        changed = {name: change(name, np.asarray(x)) for name, x in given.items()}
+        return dataclasses.replace(self, **changed)
+
     def names(self, job: Job) -> tuple[str, ...]:
         """Names of the errors of a job's machine, in the order of the leaves."""
         assert job.robot is not None
@@ -103,7 +114,7 @@ class MachineErrors(eqx.Module):
         }
         return tuple(
             name
-            for field in dataclasses.fields(self)
+            for field in fields(self)
             if getattr(self, field.name) is not None
             for name in each.get(field.name, [f"{field.name} {j}" for j in joints])
         )
@@ -195,24 +206,17 @@ def drawn_errors(
     **Differentiability**: none, a host function.
     """
 
-    def signed(size: np.ndarray) -> np.ndarray:
+    def draw(name: str, size: np.ndarray) -> np.ndarray:
+        if name in POSITIVE and law == "stated":
+            return size
         if law == "normal":
-            return size * stream.normal(size=size.shape)
-        return size * stream.uniform(-1, 1, size.shape)
+            error = size * stream.normal(size=size.shape)
+        else:
+            error = size * stream.uniform(-1, 1, size.shape)
+        if name in POSITIVE:
+            return np.abs(error)
+        # A factor is uniform itself, or its logarithm is normal.
+        is_log = name in ("scale", "bandwidth") and law != "normal"
+        return np.log1p(error) if is_log else error
 
-    def factor(size: np.ndarray) -> np.ndarray:
-        error = signed(size)
-        return error if law == "normal" else np.log1p(error)
-
-    def positive(size: np.ndarray) -> np.ndarray:
-        return size if law == "stated" else np.abs(signed(size))
-
-    laws = dict.fromkeys(("scale", "bandwidth"), factor)
-    laws |= dict.fromkeys(POSITIVE, positive)
-    values = {f.name: getattr(sizes, f.name) for f in dataclasses.fields(sizes)}
-    return MachineErrors(
-        **{
-            name: None if size is None else laws.get(name, signed)(size)
-            for name, size in values.items()
-        }
-    )
+    return sizes.each_by(draw)
