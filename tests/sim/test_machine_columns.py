@@ -84,7 +84,7 @@ def assert_alike(model, found, wanted, share):
     """Compare changes where the tool cuts: no nearest point is at an end there."""
     cuts = np.asarray(model.is_cutting)
     size = np.sqrt(np.mean(wanted[cuts] ** 2))
-    assert size > 1e-8
+    assert size > 1e-9
     assert np.sqrt(np.mean((found - wanted)[cuts] ** 2)) < share * size
 
 
