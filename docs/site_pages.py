@@ -5,6 +5,7 @@ job files are read from the source of their schema, so that no page can drift fr
 """
 
 import ast
+import functools
 import json
 import pathlib
 import re
@@ -327,12 +328,28 @@ def is_settings(table: ast.ClassDef) -> bool:
 
 
 def keys(table: ast.ClassDef) -> list[ast.AnnAssign]:
-    """Return the keys of a table."""
+    """Return the keys of a table, with those of the settings that it extends."""
     fields = [field for field in table.body if isinstance(field, ast.AnnAssign)]
-    if not is_settings(table):
+    if "TomlTable" in map(ast.unparse, table.bases):
         return fields
-    calls = [field for field in fields if isinstance(field.value, ast.Call)]
-    return [f for f in calls if ast.unparse(f.value.func) == "key"]
+    fields = [
+        field
+        for field in fields
+        if isinstance(field.value, ast.Call) and ast.unparse(field.value.func) == "key"
+    ]
+    bases = [settings_named(ast.unparse(base)) for base in table.bases]
+    shared = [field for base in bases if base is not None for field in keys(base)]
+    return [*{key_name(field): field for field in (*shared, *fields)}.values()]
+
+
+@functools.cache
+def settings_named(name: str) -> ast.ClassDef | None:
+    """Return the settings that several tables share, None if there are none so."""
+    for file in (PACKAGE / "settings").glob("*.py"):
+        for node in ast.parse(file.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.ClassDef) and node.name == name:
+                return node
+    return None
 
 
 def key_name(field: ast.AnnAssign) -> str:

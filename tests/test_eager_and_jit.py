@@ -1053,6 +1053,7 @@ LEFT_OUT = {
         "sim.QuasiStaticArm.*",
         "sim.RungeKutta4.*",
         "sim.Solution.of_command",
+        "sim.drive_torques",
         "sim.linearise",
         "workpiece.CutInterval.subtract_from",
         "workpiece.Discs.occupancy",

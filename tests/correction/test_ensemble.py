@@ -8,7 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from correction.spring_mass import SpringMass, rounded_square, soft_arm
+from slides_job import write_slides_job
 
+import diffmill as dm
 from diffmill.correction import DelayedPlant, Ensemble, GaussNewton, Problem, delayed
 from diffmill.optimise import LevenbergMarquardt
 
@@ -200,3 +202,45 @@ def test_only_the_offset_is_late():
     found = delayed(nominal + offset, 2 * TIME_STEP, TIME_STEP, nominal=nominal)
     np.testing.assert_allclose(found[2:], nominal[2:] + offset[:-2], atol=1e-14)
     np.testing.assert_allclose(found[:3], nominal[:3] + offset[:1], atol=1e-14)
+
+
+@pytest.fixture(scope="module")
+def job(tmp_path_factory):
+    return dm.load_job(write_slides_job(tmp_path_factory.mktemp("job")))
+
+
+def with_correction(job, **changes):
+    settings = dataclasses.replace(job.correction, **changes)
+    return dataclasses.replace(job, correction=settings)
+
+
+def test_machines_that_do_not_suit_are_refused(job):
+    with pytest.raises(ValueError, match="`machines` must be jobs with the path"):
+        dm.correct(job, machines=[])
+    mirrored = with_correction(job, method="mirror", acceleration_factor=np.inf)
+    with pytest.raises(ValueError, match="`machines` must be None unless"):
+        dm.correct(mirrored, machines=[job])
+
+
+@pytest.mark.slow
+def test_a_machine_that_is_the_model_changes_no_correction(job):
+    """The model, touched off, as the only machine to be robust against."""
+    plain = dm.correct(job)
+    found = dm.correct(job, machines=[dm.sim.mismatched(job, job)])
+    np.testing.assert_allclose(found.commanded, plain.commanded, atol=2e-6)
+
+
+@pytest.mark.slow
+def test_a_robust_command_is_better_on_the_machines_of_its_ensemble(job):
+    sizes = dm.UncertaintySettings(
+        friction=2e-5, backlash=2e-5, links=1e-4, registration=1e-6, draws=3, seed=1
+    )
+    robust = dm.correct(with_correction(job, uncertainty=sizes))
+    assert robust.methods["corrected"].detail["draws"] == 3
+    machines = [dm.sim.drawn_machine(job, sizes, k) for k in range(3)]
+    plain = dm.correct(job)
+    left = [
+        [dm.simulate(m, commanded=x.commanded).contour.rms for m in machines]
+        for x in (robust, plain)
+    ]
+    assert np.all(np.array(left[0]) < 0.9 * np.array(left[1]))

@@ -84,7 +84,7 @@ def test_values_become_settings_in_si(settings_of):
     )
     assert settings.tolerance == pytest.approx(1e-5)
     assert settings.uncertainty == UncertaintySettings(
-        0.2, 0.0, 0.1, False, 6, 0, "worst", 5e-3
+        stiffness=0.2, force=0.1, draws=6, objective="worst", delay=5e-3
     )
     assert (settings.gouge, settings.stay_in_cut) == (pytest.approx(2e-5), True)
     assert settings.max_velocity == pytest.approx(0.06)

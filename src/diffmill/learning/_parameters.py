@@ -21,6 +21,7 @@ from ..sim import (
     MachiningProblem,
     Run,
     Solution,
+    drive_torques,
     linearise,
     mismatched,
     rigid_cut,
@@ -456,7 +457,7 @@ def _columns(
             changes = changes + jax.jacfwd(
                 lambda change: _controller(at(change)).motors(commanded, period)
             )(zero)
-    torque = _torques(at, zero, joints, around.driven, period)
+    torque = drive_torques(at, zero, joints, around.driven, period)
     R, robot = jnp.asarray(job.T_base_work)[:3, :3], job.robot
     assert robot is not None
     J = jax.vmap(lambda q: jacobian(robot, q)[:3])(joints)
@@ -493,27 +494,3 @@ def _frame_motion(
     R, dR, dt = T[:3, :3], dT[:3, :3], dT[:3, 3]
     turned = jnp.einsum("bap,bc,kc->kap", dR, R, desired)
     return turned - jnp.einsum("ba,bp->ap", R, dt)[None]
-
-
-def _torques(
-    at: Callable[[Array], Job],
-    zero: Array,
-    joints: Float[Array, "step joint"],
-    motors: Float[Array, "step joint"],
-    period: RealScalarLike,
-) -> Float[Array, "step joint parameter"]:
-    """Slopes of the drives' torques in the parameters."""
-    of = lambda rows: jnp.asarray(jnp.gradient(rows, period, axis=0))
-    v, rate = of(joints), of(motors)
-
-    def torque(change: Array) -> Float[Array, "step joint"]:
-        robot = at(change).robot
-        assert robot is not None
-
-        def of_row(q: Array, v: Array, theta: Array, rate: Array) -> Array:
-            gear = robot.gear_torque(theta - q, rate - v).torque
-            return gear - robot.friction_torque(v)
-
-        return jax.vmap(of_row)(joints, v, motors, rate)
-
-    return jax.jacfwd(torque)(zero)

@@ -13,7 +13,10 @@ from other tables, which `diffmill.config` fills in.
 import importlib
 from types import ModuleType
 
-_MODULES = ("base", "correction", "fields", "force", "output", "simulation", "tables")
+_MODULES = (
+    *("base", "correction", "fields", "force", "machine_errors", "output"),
+    *("simulation", "tables", "truth"),
+)
 
 
 def __getattr__(name: str) -> ModuleType:

@@ -14,8 +14,8 @@ from .fields import (
     PositiveSpeed,
     PositiveTime,
     Tolerance,
-    Uncertainty,
 )
+from .machine_errors import MachineErrorSettings
 
 
 def _weight(value: object) -> float:
@@ -206,15 +206,12 @@ Sections: TypeAlias = Annotated[
 ]
 
 
-class UncertaintySettings(Settings, table="correction.uncertainty"):
-    """Uncertainty of the model that a correction is computed with, mostly relative.
+class UncertaintySettings(MachineErrorSettings, table="correction.uncertainty"):
+    """Uncertainty of the model that a correction is computed with.
 
     Attributes:
-        stiffness: Relative uncertainty of every joint's stiffness: half the width of
-            an interval, or the standard deviation.
-        damping: That of every joint's damping.
-        force: That of every force coefficient.
-        is_gaussian: Whether the uncertainties are standard deviations.
+        is_gaussian: Whether the sizes are standard deviations; else half the widths of
+            intervals.
         draws: Members of the ensemble.
         seed: Seed of the draws.
         objective: Whether the "mean" square error over the members becomes small, or
@@ -223,15 +220,6 @@ class UncertaintySettings(Settings, table="correction.uncertainty"):
             every delay from 0 on is as likely, also where the rest is normal.
     """
 
-    stiffness: Uncertainty = key(
-        "relative uncertainty of the stiffness, such as 0.2", default=0.0
-    )
-    damping: Uncertainty = key(
-        "relative uncertainty of the damping, such as 0.2", default=0.0
-    )
-    force: Uncertainty = key(
-        "relative uncertainty of the force coefficients, such as 0.1", default=0.0
-    )
     is_gaussian: StrictBool = key(
         "true: the uncertainties are standard deviations; false: half the widths of "
         "intervals",

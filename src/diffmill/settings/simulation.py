@@ -5,7 +5,8 @@ from typing import Annotated, ClassVar, Literal, TypeAlias
 from pydantic import Field, StrictBool, StrictInt
 
 from .base import ReadAs, Settings, Strategy, key
-from .fields import PositiveLength, Uncertainty
+from .fields import PositiveLength
+from .machine_errors import MachineErrorSettings
 
 
 class ChipSettings(Strategy):
@@ -88,25 +89,8 @@ class QuasistaticSettings(ModeSettings, name="quasistatic"):
     vibrates: ClassVar[bool] = False
 
 
-class ScatterSettings(Settings, table="simulation.scatter"):
-    """Relative standard deviations of the model's parameters, each on its own.
-
-    Attributes:
-        stiffness: Of every joint's stiffness.
-        damping: Of every joint's damping.
-        force: Of every force coefficient.
-    """
-
-    stiffness: Uncertainty = key(
-        "relative standard deviation of the stiffness, such as 0.1", default=0.0
-    )
-    damping: Uncertainty = key(
-        "relative standard deviation of the damping, such as 0.2", default=0.0
-    )
-    force: Uncertainty = key(
-        "relative standard deviation of the force coefficients, such as 0.1",
-        default=0.0,
-    )
+class ScatterSettings(MachineErrorSettings, table="simulation.scatter"):
+    """Standard deviations of machines about the model, relative or with a unit."""
 
 
 def _stability(value: bool | str) -> str:

@@ -4,12 +4,15 @@ from typing import Annotated
 
 from pydantic import Field, StrictInt
 
-from .base import Settings, key
+from .base import key
 from .fields import Tolerance, TurnTolerance, Uncertainty
+from .machine_errors import MachineErrorSettings
 
 
-class TruthSettings(Settings, table="truth"):
+class TruthSettings(MachineErrorSettings, table="truth"):
     """Sizes of what a real arm has and its model has not, of which machines are drawn.
+
+    Errors are uniform within their sizes; friction, gaps and run-out have theirs.
 
     The defaults are those of an arm as it comes: reversals of the size that secondary
     encoders show of a KUKA KR 300 (Weigand et al., data set `Robot_Identification`),
@@ -17,17 +20,7 @@ class TruthSettings(Settings, table="truth"):
     and forces.
 
     Attributes:
-        stiffness: Largest share by which each joint's stiffness is off; uniform.
-        damping: Largest share by which each joint's damping is off; uniform.
-        force: Largest share by which each force coefficient is off; uniform.
-        force_bias: Share by which all of them are larger.
-        links: Largest displacement of each joint along each axis [m]; uniform.
-        link_angles: Largest rotation of each joint about each axis [rad]; uniform.
-        backlash: Gap of each joint [rad].
-        friction: Coulomb friction of each joint, as the angle by which it bends the
-            spring [rad].
-        presliding: By which a joint yields before it slides [rad].
-        runout: Run-out of the cutter [m].
+        force_bias: Share by which all force coefficients are larger.
         draws: How many machines; none are run for 0.
         seed: Seed of the draws.
     """
@@ -58,12 +51,6 @@ class TruthSettings(Settings, table="truth"):
         'the joint, such as "20 urad"',
         default=20e-6,
     )
-    presliding: TurnTolerance = key(
-        'angle by which a joint with friction yields before it slides, such as "5 '
-        'urad"',
-        default=5e-6,
-    )
-    runout: Tolerance = key("run-out of the cutter", default=0.0)
     draws: Annotated[StrictInt, Field(ge=0, le=1000)] = key(
         "how many machines are drawn; 0: none is run", default=4
     )

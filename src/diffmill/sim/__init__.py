@@ -46,6 +46,7 @@ from ._job.simulate import (
     simulate_with_slot_growth as simulate_with_slot_growth,
 )
 from ._job.stack import stack as stack
+from ._linear.drive_torques import drive_torques as drive_torques
 from ._linear.linear_run import LinearRun as LinearRun, linearise as linearise
 from ._machine._integrator.base import (
     ArmState as ArmState,

@@ -2,11 +2,13 @@
 
 import dataclasses
 import math
+from collections.abc import Iterator
 
 import numpy as np
 
 from ...cutter import AbstractCutter
 from ...process import Immersion, default_element_height
+from ...settings.machine_errors import MachineErrorSettings
 from ...settings.simulation import ChipSettings, SimulationSettings
 from ...toolpath import Path
 from .._check.modes import (
@@ -71,6 +73,7 @@ def completed_simulation(
             "[simulation] scatter: found a table, but the error to be expected is "
             "known only of a machine that is not rigid"
         )
+    problems.extend(_machine_faults(tables, parts))
     if stock is None or path is None or deepest is None:
         return None
     height = table.element_height or default_element_height(
@@ -116,6 +119,33 @@ def completed_simulation(
         axes=axes,
         updates_per_period=updates if table.chip.updates_within_period else 1,
     )
+
+
+def _machine_faults(tables: JobTables, parts: JobParts) -> Iterator[str]:
+    """Faults of sizes of machine errors that the machine of the job cannot have."""
+    simulation, correction = tables.simulation, tables.correction
+    assert simulation is not None
+    stated: dict[str, MachineErrorSettings | None] = {
+        "[simulation] scatter": simulation.scatter,
+        "[correction] uncertainty": correction and correction.uncertainty,
+        "[truth]": tables.truth,
+    }
+    controller = parts.controller
+    for table, sizes in stated.items():
+        for name in () if sizes is None else sizes.robot_errors:
+            if parts.modes is not None and table != "[truth]":
+                why = "a robot, but the job has [machine]"
+            elif name == "bandwidth" and (
+                controller is None or controller.bandwidth is None
+            ):
+                why = "[controller] with a bandwidth"
+            elif name == "runout" and simulation.chip.needs_plain_cutter:
+                why = f'a chip model other than "{simulation.chip.name}"'
+            elif table == "[simulation] scatter" and not simulation.mode.vibrates:
+                why = f'a mode other than "{simulation.mode.name}"'
+            else:
+                continue
+            yield f"{table} {name}: found a size above 0, which needs {why}"
 
 
 def _angles(

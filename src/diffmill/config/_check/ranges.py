@@ -30,6 +30,8 @@ _LENGTH = _Range("0.1 mm", "1 m", q.LENGTH)
 _WIDTH = _Range("0.05 mm", "300 mm", q.LENGTH)
 _OFFSET = _Range("2 um", "20 mm", q.LENGTH)
 _ERROR = _Range("0.01 um", "2 mm", q.LENGTH)
+_RUNOUT = _Range("0.01 um", "0.2 mm", q.LENGTH)
+_SMALL_TURN = _Range("0.1 urad", "20 mrad", q.ANGLE)
 _SLOPE = _Range("0.01 deg", "65 deg", q.ANGLE)
 _TURN = _Range("0 deg", "360 deg", q.ANGLE)
 _WARP = _Range("0 deg", "3 deg", q.ANGLE)
@@ -43,7 +45,7 @@ _USUAL: dict[str, tuple[_Range, ...]] = {
     "cutter.corner_radius": (_Range("0.01 mm", "100 mm", q.LENGTH),),
     "cutter.flute_length": (_WIDTH,),
     "cutter.helix_angle": (_SLOPE,),
-    "cutter.runout": (_Range("0.01 um", "0.2 mm", q.LENGTH),),
+    "cutter.runout": (_RUNOUT,),
     "cutter.runout_angle": (_TURN,),
     "cutter.dish_angle": (_SLOPE,),
     "cutter.overhang": (_LENGTH,),
@@ -136,16 +138,31 @@ _USUAL_NUMBERS: dict[str, tuple[float, float]] = {
     "controller.shaper.damping_ratio": _DAMPING_RATIO,
     "simulation.angles": (1, 10_000),
     "simulation.substeps": (1, 200),
-    "simulation.scatter.stiffness": _SPREAD,
-    "simulation.scatter.damping": _SPREAD,
-    "simulation.scatter.force": _SPREAD,
     "correction.acceleration_factor": (1, 100),
     "correction.wall_weight": _WEIGHT,
     "correction.floor_weight": _WEIGHT,
     "correction.weight.value": _WEIGHT,
-    "correction.uncertainty.stiffness": _SPREAD,
-    "correction.uncertainty.damping": _SPREAD,
-    "correction.uncertainty.force": _SPREAD,
+}
+# Of machine errors, in every table that states them.
+_ERROR_TABLES = ("simulation.scatter", "correction.uncertainty", "truth")
+_USUAL |= {
+    f"{table}.{key}": (usual,)
+    for table in _ERROR_TABLES
+    for key, usual in (
+        ("links", _OFFSET),
+        ("link_angles", _SMALL_TURN),
+        ("backlash", _SMALL_TURN),
+        ("friction", _SMALL_TURN),
+        ("presliding", _SMALL_TURN),
+        ("registration", _ERROR),
+        ("registration_angles", _SMALL_TURN),
+        ("runout", _RUNOUT),
+    )
+}
+_USUAL_NUMBERS |= {
+    f"{table}.{key}": _SPREAD
+    for table in _ERROR_TABLES
+    for key in ("stiffness", "damping", "force", "bandwidth")
 }
 # Of which zero is unusual, too: what swings ends to swing.
 _NEVER_ZERO = (

@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import equinox as eqx
@@ -15,6 +15,7 @@ from ..._job import Job
 from ..._types import FloatRows, FloatRows3, readable_signature
 from ...optimise import LeastSquaresStep
 from ...process import ThroughPoses
+from ...settings.correction import GaussNewtonSettings
 from ...sim import JobKinematics, Solution, simulate_with_slot_growth
 from ...toolpath import ContourStatistics
 from ...workpiece import SurfaceError
@@ -38,7 +39,7 @@ from .method import (
     job_optimiser,
     within_joint_limits,
 )
-from .objective import check_limits, job_spline
+from .objective import check_limits, job_ensemble, job_spline
 from .plants import JointPlant, SolvedMotion, TipPlant, job_mirror, solved_motion
 from .segment_rows import SegmentRows
 
@@ -137,6 +138,7 @@ def correct(
     objective: AbstractObjective | None = None,
     start: FloatRows3 | None = None,
     disturbance: FloatRows3 | None = None,
+    machines: Sequence[Job] | None = None,
     throw: bool = True,
     on_predicted: Callable[[Solution], None] | None = None,
     on_progress: OnProgress | None = None,
@@ -160,6 +162,10 @@ def correct(
             best of the commands that the job compares.
         disturbance: What the machine does beyond its model, as it was measured [m],
             shape (step, 3); see `Path.disturbance`, which it takes the place of.
+        machines: The program on machines as they may be, such as `drawn_machine` draws:
+            the mean square error over them becomes small, or that of the worst, instead
+            of that of draws by `[correction.uncertainty]`. The path is then corrected
+            as a whole.
         throw: Whether to raise when the uncorrected run does not succeed.
         on_predicted: Called with the solution of the uncorrected program, before any
             method runs.
@@ -182,7 +188,8 @@ def correct(
         UnsuitableSettings: Knots, horizon or overlap do not suit the path, or no
             surface is left to correct; a `ValueError`.
         ValueError: The job has no robot or a command of its own, the objective is
-            none, or JAX is not set up for its precision.
+            none, machines are given to a method that takes one only, or JAX is not set
+            up for its precision.
 
     Differentiability: runs on the host, not traceable.
     """
@@ -192,8 +199,10 @@ def correct(
     if job.commanded is not None:
         raise ValueError("Argument `job` must not have a command of its own, but has.")
     check_objective(objective)
+    _check_machines(job, machines)
     # A horizon that cannot be is refused before anything runs.
-    segments = SegmentRows.of_job(job, has_own_objective=objective is not None)
+    takes_whole = objective is not None or machines is not None
+    segments = SegmentRows.of_job(job, has_own_objective=takes_whole)
     check_limits(job)
     adjoint = ThroughPoses()
     desired = jnp.asarray(job.path.positions)
@@ -222,6 +231,9 @@ def correct(
     method = None
     if is_optimised:
         method = job_optimiser(job, task.objective, task.surface, task.plant)
+        if machines is not None:
+            ensemble = job_ensemble(job, task.plant, machines)
+            method = dataclasses.replace(method, ensemble=ensemble)
     inverse = None
     if job.robot is not None and start is None:
         # A robot without inertia and damping is one that moves without end slowly.
@@ -363,6 +375,30 @@ def _checked_start(job: Job, start: FloatRows3) -> FloatRows3:
             "commands tips."
         )
     return np.asarray(start, np.dtype(job.simulation.precision))
+
+
+def _check_machines(job: Job, machines: Sequence[Job] | None) -> None:
+    """Raise if machines are given that do not run the program, or to another method.
+
+    Raises:
+        ValueError: That is so.
+    """
+    settings = job.correction
+    if machines is None:
+        return
+    if not isinstance(settings.method, GaussNewtonSettings) or (
+        settings.command == "joint"
+    ):
+        raise ValueError(
+            'Argument `machines` must be None unless the job asks for "gauss_newton" '
+            "that commands tips."
+        )
+    rows = {one.path.step_count for one in machines}
+    if rows != {job.path.step_count}:
+        raise ValueError(
+            f"Argument `machines` must be jobs with the path of `job`, of "
+            f"{job.path.step_count} rows, one at least, but has {sorted(rows)}."
+        )
 
 
 def _start_on_path(

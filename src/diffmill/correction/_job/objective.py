@@ -1,5 +1,7 @@
 """From the settings of a job to weights, objective and surface of its correction."""
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float
@@ -8,7 +10,7 @@ from ..._job import Job
 from ..._types import BoolSteps
 from ...settings.base import builds
 from ...settings.correction import PathErrorSettings, SurfaceErrorSettings
-from ...sim import Run
+from ...sim import Run, drawn_machine
 from .._core.method import MethodResult
 from .._core.path_objective import AbstractObjective, PathObjective
 from .._core.problem import Motion, Problem
@@ -18,7 +20,7 @@ from .._spline.command_limits import LinearLimits
 from .._spline.spline_offsets import SplineOffsets
 from .._surface.finished_surface import FinishedSurface
 from .._surface.surface_objective import SurfaceObjective
-from .plants import ScaledPlant, TipPlant
+from .plants import MachinePlants, ScaledPlant, TipPlant
 
 
 class UnsuitableSettings(ValueError):
@@ -172,22 +174,41 @@ def _surface_objective(
     )
 
 
-def job_ensemble(job: Job, nominal: TipPlant) -> Ensemble | None:
-    """Draws of the job's model, as `[correction.uncertainty]` asks for."""
+def job_ensemble(
+    job: Job, nominal: TipPlant, machines: Sequence[Job] | None = None
+) -> Ensemble | None:
+    """Machines on which the program may run, for a robust correction.
+
+    Args:
+        job: The job.
+        nominal: Its plant.
+        machines: The machines; if None those that `[correction.uncertainty]` draws.
+            Where no more than stiffness, damping and forces is uncertain they are the
+            model's own with other numbers, else each is touched off (`drawn_machine`).
+
+    Returns:
+        The ensemble; None where the model is certain.
+    """
     known = job.correction.uncertainty
-    if known is None:
+    if machines is None and known is not None and known.robot_errors:
+        machines = [drawn_machine(job, known, draw) for draw in range(known.draws)]
+    if machines is not None:
+        plant = MachinePlants(nominal, tuple(one.with_precision() for one in machines))
+        draws = np.arange(float(len(machines)))[:, None]
+    elif known is not None:
+        plant = ScaledPlant(nominal)
+        draws = Ensemble.draw_scales(
+            job.parameter_names,
+            count=known.draws,
+            seed=known.seed,
+            stiffness=known.stiffness,
+            damping=known.damping,
+            force=known.force,
+            is_gaussian=known.is_gaussian,
+        )
+    else:
         return None
-    draws = Ensemble.draw_scales(
-        job.parameter_names,
-        count=known.draws,
-        seed=known.seed,
-        stiffness=known.stiffness,
-        damping=known.damping,
-        force=known.force,
-        is_gaussian=known.is_gaussian,
-    )
-    plant = ScaledPlant(nominal)
-    if known.delay == 0:
+    if known is None or known.delay == 0:
         return Ensemble(plant, draws)
     # The path is the uncorrected command: only what is added to it comes late.
     late = DelayedPlant(plant, np.asarray(job.path.positions), float(job.tooth_period))

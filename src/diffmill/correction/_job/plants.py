@@ -112,6 +112,22 @@ class ScaledPlant(AbstractUncertainPlant):
         return dataclasses.replace(self.plant, job=job)
 
 
+class MachinePlants(AbstractUncertainPlant):
+    """Machines that a job may run on, as plants that are commanded by tip positions.
+
+    Attributes:
+        plant: The plant of the job as it is.
+        machines: The job on each machine.
+    """
+
+    plant: TipPlant
+    machines: tuple[Job, ...]
+
+    def member(self, parameters: Parameters) -> TipPlant:
+        """Plant on the machine whose number is the parameter."""
+        return dataclasses.replace(self.plant, job=self.machines[int(parameters[0])])
+
+
 class JointPlant(AbstractHostPlant):
     """A job as a plant that is commanded by joint positions [rad or m].
 

@@ -7,7 +7,8 @@ The stock is held: how a surface moves with the poses that cut it is left out.
 
 The place of the work is found with the arm itself, so what is off where the path begins
 is no error of the part: a stiffness that is off shows by how the sag changes along the
-path, not by the sag.
+path, not by the sag. With errors of links, servos, reversal, registration or run-out
+the work is touched off anew, see `MachineColumns`.
 """
 
 from typing import TYPE_CHECKING
@@ -25,6 +26,7 @@ from .._job.simulate import Solution, job_machine, job_process
 from .._linear.linear_run import linearise
 from .._linear.period_slopes import CuttingMachine
 from .._machine.commands import JobKinematics
+from .._truth.machine_columns import MachineColumns
 
 if TYPE_CHECKING:
     import xarray
@@ -37,7 +39,8 @@ class ErrorBand(eqx.Module):
         names: The parameters that scatter, as of `parameter_names`.
         shift: Change of the contour vector by one standard deviation of each [m],
             shape (parameter, step, 3).
-        contour_error: Of the model [m], shape (step,).
+        contour_error: Of the model [m], shape (step,); of the machine with the mean
+            friction, gaps and run-out, where these scatter.
         is_cutting: Whether the rigid tool cuts in the period before, shape (step,).
     """
 
@@ -111,6 +114,19 @@ def error_band(job: Job, solution: Solution) -> ErrorBand:
     scatter = job.simulation.scatter
     if scatter is None:
         raise ValueError("Argument `job` must have `simulation.scatter`, but has None.")
+    if scatter.robot_errors:
+        if job.robot is None or not job.simulation.mode.vibrates:
+            raise ValueError(
+                "Argument `job` must have a robot that swings for a scatter of "
+                f"{', '.join(scatter.robot_errors)}."
+            )
+        columns = MachineColumns.about(job, solution, scatter)
+        return ErrorBand(
+            names=columns.names,
+            shift=columns.shift,
+            contour_error=np.asarray(columns.mean.contour_error),
+            is_cutting=np.asarray(solution.is_cutting),
+        )
     motors = solution.motor_positions
     if motors is None:
         motors, _ = JobKinematics(job).motors(jnp.asarray(solution.commanded))

@@ -47,13 +47,22 @@ def mismatched(model: Job, machine: Job) -> Job:
             f"Argument `machine` must have the path of `model`, of "
             f"{model.path.step_count} rows, but has {machine.path.step_count}."
         )
+    return dataclasses.replace(machine, nominal=nominal_robot(model)).touched_off()
+
+
+def nominal_robot(model: Job) -> NominalRobot:
+    """Robot and work of a job as its controller knows them, with what is touched off.
+
+    Args:
+        model: The job; it must have a robot.
+    """
     known = model.as_known
     assert known.robot is not None
     points = _path_points(model)
     if model.probes is not None:
         points = np.asarray(model.probes, np.float64)
     dtype = known.robot.dtype
-    nominal = NominalRobot(
+    return NominalRobot(
         robot=known.robot,
         T_base_work=known.T_base_work,
         probes=jnp.asarray(points, dtype),
@@ -61,7 +70,6 @@ def mismatched(model: Job, machine: Job) -> Job:
         .motors(jnp.asarray(points, dtype))
         .positions,
     )
-    return dataclasses.replace(machine, nominal=nominal).touched_off()
 
 
 def _path_points(job: Job) -> Float[np.ndarray, "probe 3"]:
