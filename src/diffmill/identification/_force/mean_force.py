@@ -145,8 +145,7 @@ def fit_mean_forces(
     )
     bend, rub = np.zeros((2, 3, 3))
     if radius is not None:
-        bounds = entry_angle, exit_angle
-        bend, rub = _size_matrices(teeth, axial_depth, bounds, radius)
+        bend, rub = _size_matrices(teeth, axial_depth, entry_angle, exit_angle, radius)
     by_slope, by_offset = np.linalg.inv(to_slope), np.linalg.inv(to_offset)
     # Coefficients from the six numbers (slopes, offsets) of the lines.
     both = np.zeros((6, 6))
@@ -216,14 +215,19 @@ def mean_force_matrices(
 
 
 def _size_matrices(
-    teeth: int, axial_depth: float, bounds: tuple[float, float], radius: float
+    teeth: int,
+    axial_depth: float,
+    entry_angle: float,
+    exit_angle: float,
+    radius: float,
 ) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3 3"]]:
     """Mean force that a cutter has by its size, by second orders of the feed.
 
     Args:
         teeth: Number of teeth N.
         axial_depth: a_p [m].
-        bounds: Angles of entry and exit [rad].
+        entry_angle: [rad].
+        exit_angle: [rad].
         radius: R [m].
 
     Returns:
@@ -231,13 +235,13 @@ def _size_matrices(
         shape (3, 3).
     """
     x, weight = np.polynomial.legendre.leggauss(_NODES)
-    half = (bounds[1] - bounds[0]) / 2
-    phi = bounds[0] + half * (1 + x)
+    half = (exit_angle - entry_angle) / 2
+    phi = entry_angle + half * (1 + x)
     sin, cos = np.sin(phi), np.cos(phi)
     chip = cos**2 - teeth * sin * cos / math.pi
     bend = half * np.sum(weight * chip * _directions(phi), axis=-1)
     rub = np.zeros((3, 3))
-    for bound in bounds:
+    for bound in (entry_angle, exit_angle):
         own = _directions(np.array([bound]))[..., 0]
         bend = bend - math.sin(bound) * abs(math.cos(bound)) * own
         if abs(math.sin(bound)) < _WALL:
