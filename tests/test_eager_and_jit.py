@@ -256,12 +256,6 @@ CALLS: dict[str, Callable[[], Call]] = {
         rows(5),
         (rows(5),),
     ),
-    "numerics.ShortAxis.sum": lambda: Call(
-        lambda _, x: nm.ShortAxis.sum(x), None, (rows(3, 4),)
-    ),
-    "numerics.ShortAxis.copies": lambda: Call(
-        lambda _, x: nm.ShortAxis.copies(x, 3), None, (rows(4),)
-    ),
     "numerics.Rematerialised.of": lambda: Call(
         lambda a, x: nm.Rematerialised.of(lambda: jnp.sin(a * x))(), rows(4), (rows(4),)
     ),

@@ -16,8 +16,9 @@ import time
 # Rows from the middle of the example, rounds over all pieces, runs, and batch of arms.
 ROWS, ROUNDS, RUNS, BATCH = 300, 2, 5, 64
 EXAMPLE = "paper_small"
-# Largest relative difference of results with and without a piece.
-AGREEMENT = 1e-8
+# Largest relative difference of results with and without a piece: a run agrees to
+# rounding, which its gradient by every row makes larger.
+AGREEMENT = 1e-6
 
 
 def measure(report):
@@ -105,16 +106,6 @@ def without_materialise(numerics):
     )
 
 
-def without_short_axis(numerics):
-    """Reduce and broadcast short axes as any other."""
-    import jax.numpy as jnp
-
-    numerics.ShortAxis.sum = staticmethod(lambda terms: jnp.sum(terms, axis=0))
-    numerics.ShortAxis.copies = staticmethod(
-        lambda values, count: jnp.broadcast_to(values[None], (count, *values.shape))
-    )
-
-
 def without_rematerialised(numerics):
     """Let reverse mode store whatever its rules ask for."""
     numerics.Rematerialised.of = staticmethod(lambda function: function)
@@ -154,7 +145,6 @@ def without_cached_jit(numerics):
 
 PIECES = {
     "materialise": without_materialise,
-    "ShortAxis": without_short_axis,
     "Rematerialised": without_rematerialised,
     "with_derivative_of": without_derivative,
     "as_scalar_code": without_scalar_code,
@@ -236,7 +226,7 @@ def time_arm(runs):
 
 
 def timed(name, function, arguments, runs, count):
-    """Return processor times of compiling and per row or arm, memory, and the result."""
+    """Return processor times of compiling and of a row or arm, memory, the result."""
     import jax
 
     start = time.process_time()

@@ -1,7 +1,8 @@
-"""Programs that tests read from a file."""
+"""Programs and jobs that tests read from a file."""
 
 import pytest
 
+from diffmill import examples
 from diffmill.io import ProgramError, ProgramSetup, read_program
 from diffmill.toolpath import Program
 
@@ -32,3 +33,17 @@ def faults(read):
         return [(fault.line, fault.word) for fault in caught.value.faults]
 
     return faults
+
+
+@pytest.fixture
+def write(tmp_path):
+    """Write the small example with more text; return its path."""
+
+    def write(more):
+        folder = tmp_path / "job"
+        examples.copy_example("paper_small", folder)
+        (job,) = folder.glob("*.toml")
+        job.write_text(job.read_text() + more)
+        return job
+
+    return write

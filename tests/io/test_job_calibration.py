@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from slides_job import write_slides_job
 
-from diffmill import examples, load_job
+from diffmill import load_job
 from diffmill.robot import LinkErrors, forward_kinematics, load
 from small_job import FLANGE_SPRING, problems_of
 
@@ -22,20 +22,6 @@ waves = [{", ".join(['["0.1 mrad", "0 mrad", "20 urad", "0 mrad"]'] * 6)}]
 wave_period = "180 deg"
 tool = ["0 mm", "1 mm", "0 mm"]
 """
-
-
-@pytest.fixture
-def write(tmp_path):
-    """Write the small example with more text; return its path."""
-
-    def write(more):
-        folder = tmp_path / "job"
-        examples.copy_example("paper_small", folder)
-        (job,) = folder.glob("*.toml")
-        job.write_text(job.read_text() + more)
-        return job
-
-    return write
 
 
 def test_the_arm_stands_where_its_errors_say(write):

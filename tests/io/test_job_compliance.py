@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from diffmill import examples, load_job
+from diffmill import load_job
 from diffmill.robot import FlangeSpring, cartesian_compliance, load
 from small_job import FLANGE_SPRING, problems_of
 
@@ -19,20 +19,6 @@ flute_share = 1
 SPINDLE = FlangeSpring(
     30.0, (0.0, 0.0, 0.17), (0.75, 0.75, 0.2), rotary_stiffness=(2e6, 3e6, 4e6)
 )
-
-
-@pytest.fixture
-def write(tmp_path):
-    """Write the small example with more text; return its path."""
-
-    def write(more):
-        folder = tmp_path / "job"
-        examples.copy_example("paper_small", folder)
-        (job,) = folder.glob("*.toml")
-        job.write_text(job.read_text() + more)
-        return job
-
-    return write
 
 
 def test_both_tables_make_a_robot_in_series(write):

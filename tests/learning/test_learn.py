@@ -9,6 +9,7 @@ from slides_job import write_slides_job
 
 import diffmill as dm
 from diffmill import learning as dl
+from diffmill.robot import Controller
 
 NOISE = 2e-6
 PRIOR = dl.MachinePrior(friction=1e-5, backlash=1e-5)
@@ -21,31 +22,75 @@ def job(tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_columns_are_differences(job):
+@pytest.mark.parametrize("has_servos", [False, True])
+def test_columns_are_differences(job, has_servos):
+    if has_servos:
+        job = dataclasses.replace(job, controller=Controller(bandwidth=12.0))
     machine = dl.AdaptableMachine.of_job(job, PRIOR)
     rigid = dm.sim.rigid_cut(machine.base, dm.process.FrozenStock())
     x, program = np.zeros(machine.count), np.asarray(job.path.positions)
     # Away from gaps, whose corners are round for slopes alone.
     x[machine.group("friction").index] = 0.5
     x[machine.group("backlash").index] = 0.3
-    columns = machine.columns(x, rigid, program)
+    columns = machine.columns(x, rigid, program, machine.rigid_force_slopes())
 
-    def deviation(x):
+    def observables(x):
         adapted = machine.job_at(x, smooth=True)
         run = dm.sim.Solution.of_command(
             adapted, rigid, jnp.asarray(program), dm.process.FrozenStock()
         )
-        return np.asarray(run.surface_deviation) + machine.field(x, program)
+        arm = np.asarray(run.surface_deviation)
+        tip = arm + machine.field(x, program)
+        cut = dm.sim.rigid_cut(adapted, dm.process.FrozenStock())
+        return tip, arm - machine.frame_shift(adapted), np.asarray(cut.force)
 
+    names = machine.names
+    assert any(n.startswith("servo") for n in np.array(names)[machine.is_free]) == (
+        has_servos
+    )
     for k in np.flatnonzero(machine.is_free):
         way = 0.02 * np.eye(machine.count)[k]
-        numeric = (deviation(x + way) - deviation(x - way)) / 0.04
-        size = np.abs(numeric).max()
-        if size > 1e-8:
-            away = np.sqrt(np.mean((columns[:, :, k] - numeric) ** 2))
-            # Torques are taken at the rows; a gear crosses its gap within one.
-            share = 0.25 if machine.names[k].startswith("backlash") else 0.15
-            assert away < share * np.sqrt(np.mean(numeric**2)), machine.names[k]
+        ends = zip(observables(x + way), observables(x - way), strict=True)
+        for found, (more, less) in zip(columns, ends, strict=True):
+            numeric = (more - less) / 0.04
+            if np.abs(numeric).max() > 1e-8:
+                away = np.sqrt(np.mean((found[:, :, k] - numeric) ** 2))
+                # Torques are taken at the rows; a gear crosses its gap within one.
+                share = 0.25 if names[k].startswith("backlash") else 0.15
+                assert away < share * np.sqrt(np.mean(numeric**2)), names[k]
+
+
+def test_joints_are_seen_as_the_tip_that_they_place(job):
+    """Encoders on the links of three slides: their positions are the tip's."""
+    run = dm.simulate(job)
+    joints, time = np.asarray(run.joint_positions), np.asarray(run.time)
+    record = dl.LinkEncoders(joints, NOISE, time, offset=1e-5)
+    seen = record.seen(job, run)
+    rows = np.searchsorted(time, seen.time[::3])
+    away = np.asarray(run.deviation)[rows]
+    found = np.einsum(
+        "kia,ki->ka", seen.direction.reshape(-1, 3, 3), seen.value.reshape(-1, 3)
+    )
+    sag = away - found
+    np.testing.assert_allclose(sag, sag[:1] * np.ones_like(sag), atol=1e-10)
+    np.testing.assert_allclose(seen.variance, NOISE**2)
+    assert seen.nuisance.shape[1] == 3 and not seen.is_tracked
+    with pytest.raises(ValueError, match="must have 3 columns"):
+        dl.LinkEncoders(joints[:, :2], NOISE, time).seen(job, run)
+
+
+def test_forces_are_means_over_tooth_periods(job):
+    run = dm.simulate(job)
+    ends, force = np.asarray(run.time), np.asarray(run.force)
+    time = np.linspace(ends[3], ends[-2], 7 * (len(ends) - 5) + 1)[1:]
+    each = force[np.searchsorted(ends, time - 1e-12)]
+    seen = dl.MeasuredForces(each, 7.0, time, offset=2.0).seen(job, run)
+    predicted = seen.of(dl.Observables(np.nan, np.nan, force))
+    np.testing.assert_allclose(seen.value, predicted, atol=1e-9)
+    np.testing.assert_allclose(np.median(seen.variance), 7.0)
+    assert seen.nuisance.shape[1] == 3
+    with pytest.raises(ValueError, match="within the program"):
+        dl.MeasuredForces(each, 1.0, time + 1e3).seen(job, run)
 
 
 @pytest.mark.slow
@@ -82,7 +127,9 @@ def test_samples_of_a_tracker_are_found_on_the_path(job):
     seen = measured.seen(job, rigid)
     assert seen.nuisance.shape[1] == 4 and seen.is_tracked
     rows = 1e-6 * dl.wall_times(rigid)[:, None] * np.array([1.0, 2.0, 3.0])
-    np.testing.assert_allclose(seen.of_rows(rows), seen.value, atol=1e-12)
+    np.testing.assert_allclose(
+        seen.of(dl.Observables(rows, rows, rows)), seen.value, atol=1e-12
+    )
     with pytest.raises(ValueError, match="a row for each of the path's"):
         dl.TrackedTips(tips, NOISE).seen(job, rigid)
     with pytest.raises(ValueError, match="in the order of time"):

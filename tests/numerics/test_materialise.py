@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from jax.test_util import check_grads
 
-from diffmill.numerics import ShortAxis, materialise
+from diffmill.numerics import materialise
 
 X = jnp.asarray(np.random.default_rng(3).normal(size=(3, 5)))
 
@@ -67,24 +67,3 @@ def test_trees_of_anything_are_held():
     np.testing.assert_array_equal(rows[0], X)
     assert materialise(()) == ()
     assert isinstance(materialise(np.ones(3)), jax.Array)
-
-
-@pytest.mark.parametrize("count", [1, 2, 7])
-def test_a_sum_of_few_and_few_copies(count):
-    terms = jnp.asarray(np.random.default_rng(count).normal(size=(count, 2, 4)))
-    np.testing.assert_allclose(ShortAxis.sum(terms), jnp.sum(terms, axis=0), rtol=1e-15)
-    copies = ShortAxis.copies(terms[0], count)
-    np.testing.assert_array_equal(copies, jnp.broadcast_to(terms[:1], terms.shape))
-    both = jax.jit(
-        lambda x: (
-            ShortAxis.sum(jnp.sin(x))
-            + ShortAxis.sum(ShortAxis.copies(jnp.square(x[0]), 3))
-        )
-    )
-    check_grads(both, (terms,), order=2, modes=("fwd", "rev"))
-    # Along any axis of a batch.
-    for axis in (0, 1, 2):
-        found = jax.vmap(both, in_axes=axis, out_axes=axis)
-        batch = jnp.stack([terms, 3 * terms], axis=axis)
-        wanted = jnp.stack([both(terms), both(3 * terms)], axis=axis)
-        np.testing.assert_allclose(found(batch), wanted, rtol=1e-14)

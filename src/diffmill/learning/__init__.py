@@ -16,10 +16,15 @@ from ._gaussian_process import (
     PathProcess as PathProcess,
 )
 from ._learn import (
+    ExplainedError as ExplainedError,
     LearnedMachine as LearnedMachine,
     learn as learn,
 )
+from ._machine_posterior import MachinePosterior as MachinePosterior
 from ._measurement import (
+    LinkEncoders as LinkEncoders,
+    MeasuredForces as MeasuredForces,
+    Observables as Observables,
     Part as Part,
     TrackedTips as TrackedTips,
     WallPoints as WallPoints,

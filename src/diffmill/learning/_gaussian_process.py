@@ -192,9 +192,10 @@ EXPECTED_SIZE = 5e-6
 
 @jax.jit
 def _evidence(
-    seen: Observations, values: Array, axes: Array, lengths: Array, sizes: Array
+    seen: Observations, values: Array, axes: Array, lengths: Array, scale: Array
 ) -> Array:
     """Log marginal likelihood on a grid of lengths and sizes, (length, size)."""
+    sizes = scale * SIZES
 
     def at(length, size):
         process = PathProcess(jnp.full(3, length), size * axes)
@@ -202,7 +203,7 @@ def _evidence(
         return -0.5 * (jnp.sum(white.rows**2) + white.log_determinant)
 
     grid = jax.vmap(jax.vmap(at, (None, 0)), (0, None))(lengths, sizes)
-    return grid - jnp.log1p((sizes / EXPECTED_SIZE) ** 2)[None]
+    return grid - jnp.log1p((SIZES / EXPECTED_SIZE) ** 2)[None]
 
 
 class BestProcess(NamedTuple):
@@ -226,6 +227,7 @@ def best_process(
     values: Float[np.ndarray, " observation"],
     axes: Float[np.ndarray, " 3"],
     least_length: float,
+    scale: float = 1.0,
 ) -> BestProcess:
     """Length and size of the largest marginal likelihood.
 
@@ -234,11 +236,14 @@ def best_process(
         values: What was seen [m], shape (observation,).
         axes: 1 for axes that have the process, else 0, shape (3,).
         least_length: Shortest length that the spacing of the observations can show [s].
+        scale: By which the sizes that are tried are those of another quantity.
     """
     lengths = LENGTHS[LENGTHS >= min(least_length, LENGTHS[-1])]
-    grid = _evidence(seen, jnp.asarray(values), jnp.asarray(axes), lengths, SIZES)
+    sizes = scale * SIZES
+    arrays = map(jnp.asarray, (values, axes, lengths, scale))
+    grid = _evidence(seen, *arrays)
     grid = np.asarray(grid)
     i, j = np.unravel_index(np.argmax(grid), grid.shape)
     return BestProcess(
-        float(lengths[i]), float(SIZES[j]), float(grid[i, j]), float(grid[:, 0].max())
+        float(lengths[i]), float(sizes[j]), float(grid[i, j]), float(grid[:, 0].max())
     )

@@ -2,33 +2,59 @@
 
 import dataclasses
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from .._job import Job
 from .._types import FloatRows3
 from ..correction import Correction, correct
 from ..process import FrozenStock
 from ..sim import Solution, rigid_cut
-from ._measurement import Part, wall_times
+from ._machine_posterior import MachinePosterior, normal_variance
+from ._measurement import Observables, Observed, Part, wall_times
 from ._parameters import AdaptableMachine, MachinePrior, Rows3
 from ._posterior import (
     Linearised,
+    Prior,
     Processes,
     Stacked,
     chosen_prior,
+    known_prior,
     processes,
     whitened,
 )
 
 # Logarithm of how much more likely parameters and process must make what was seen to
 # be taken: below it a model that is right would be spoilt by noise.
-_LEAST_GAIN = 3.0
+LEAST_GAIN = 3.0
+# Variance, in units of the priors, that keeps what is known already regular.
+_LEAST_VARIANCE = 1e-8
 _FIRST_STEPS, _LATER_STEPS = 2, 1
 OnProgress = Callable[[str], None]
+
+
+class ExplainedError(NamedTuple):
+    """What a measurement shows beyond some predictions, along its directions, rms.
+
+    Attributes:
+        part: Number of the part, from 1.
+        observed: What was seen: "tip", "arm" or "force".
+        beyond_model: Beyond the model [m or N].
+        beyond_machine: Beyond the machine that was learnt.
+        beyond_process: Beyond this and what no parameter explains; of forces as before.
+        noise: The instrument's noise.
+    """
+
+    part: int
+    observed: Observed
+    beyond_model: float
+    beyond_machine: float
+    beyond_process: float
+    noise: float
 
 
 class LearnedMachine(eqx.Module):
@@ -38,29 +64,29 @@ class LearnedMachine(eqx.Module):
         job: The job with the machine as it was learnt, and what no parameter explains
             as the disturbance of its path: `simulate` predicts the next part with it,
             `correct` corrects its program.
-        parameters: In units of their priors, shape (parameter,).
-        covariance: Of these, shape (parameter, parameter).
-        names: Of the parameters.
-        sizes: Standard deviations of the priors, shape (parameter,).
-        disturbance: Mean of what no parameter explains [m], shape (step, 3).
-        uncertainty: Its standard deviation [m], shape (step, 3).
+        posterior: The parameters, and what none of them explains.
         gain: How much more likely parameters and process make what was measured,
             logarithm; what is less than 3 is not taken.
+        explained: What of each measurement is explained.
+        columns: Slopes of the tip in the parameters about the last command [m], shape
+            (step, 3, parameter).
+        machine: The machine as a function of its parameters.
         correction: The next command, corrected from the best one so far; None if it
             was not asked for.
-        machine: The machine as a function of its parameters.
     """
 
     job: Job
-    parameters: Float[np.ndarray, " parameter"]
-    covariance: Float[np.ndarray, "parameter parameter"]
-    names: tuple[str, ...] = eqx.field(static=True)
-    sizes: Float[np.ndarray, " parameter"]
-    disturbance: Rows3
-    uncertainty: Rows3
+    posterior: MachinePosterior
     gain: float
+    explained: tuple[ExplainedError, ...] = eqx.field(static=True)
+    columns: Float[np.ndarray, "step 3 parameter"]
     machine: AdaptableMachine
     correction: Correction | None = None
+
+    @property
+    def is_known_better(self) -> bool:
+        """Whether the parts show what the model does not know."""
+        return self.gain >= LEAST_GAIN
 
     @property
     def commanded(self) -> Rows3:
@@ -73,12 +99,54 @@ class LearnedMachine(eqx.Module):
             raise ValueError("No command was asked for: `corrects` was False.")
         return np.asarray(self.correction.commanded)
 
+    def causes(self, is_cutting: Bool[np.ndarray, " step"]) -> dict[str, float]:
+        """Error across the path by cause, where the tool cuts [m rms].
+
+        Args:
+            is_cutting: Where it does, shape (step,).
+        """
+        desired, mean = self.posterior.desired, self.posterior.mean
+        parts = {
+            group.name: self.columns[:, :, group.index] @ mean[group.index]
+            for group in self.machine.groups
+            if self.machine.is_free[group.index].any()
+        }
+        parts["process"] = self.posterior.disturbance
+        across = lambda rows: normal_variance(rows[:, :, None] * rows[:, None], desired)
+        return {
+            name: float(np.sqrt(np.mean(across(rows)[is_cutting])))
+            for name, rows in parts.items()
+        }
+
+    def spread(self) -> Float[np.ndarray, " step"]:
+        """Standard deviation of the tip across the path, of what is not known [m].
+
+        Of parameters and of what none of them explains, shape (step,).
+        """
+        known = self.posterior
+        of_machine = np.einsum(
+            "kap,pq,kbq->kab", self.columns, known.covariance, self.columns
+        )
+        of_process = known.uncertainty[:, :, None] ** 2 * np.eye(3)
+        return np.sqrt(normal_variance(of_machine + of_process, known.desired))
+
+    def expected_rms(self, run: Solution) -> float:
+        """Contour error that is expected of a run of the job, where it cuts [m rms].
+
+        Its own and that of what is not known.
+
+        Args:
+            run: A run of `job`.
+        """
+        error = np.asarray(run.contour_error) ** 2 + self.spread() ** 2
+        return float(np.sqrt(np.mean(error[np.asarray(run.is_cutting)])))
+
 
 def learn(
     job: Job,
     parts: Sequence[Part],
     *,
-    prior: MachinePrior | None = None,
+    prior: MachinePrior | MachinePosterior | None = None,
     corrects: bool = True,
     max_steps: int = 3,
     known: LearnedMachine | None = None,
@@ -89,7 +157,8 @@ def learn(
     Args:
         job: The job; its machine must have a robot.
         parts: Parts of this program, in the order in which they were cut.
-        prior: Sizes of what may be wrong; the default's if not given.
+        prior: Sizes of what may be wrong, the default's if not given; or what parts of
+            another program have shown of the machine.
         corrects: Whether the program is corrected, too.
         max_steps: Steps of its optimiser at most.
         known: What was learnt from the parts before, to begin there.
@@ -110,13 +179,14 @@ def learn(
         raise ValueError("Argument `job` must have a robot, but has none.")
     if not parts:
         raise ValueError("Argument `parts` must have a part, but is empty.")
-    machine = AdaptableMachine.of_job(job, prior or MachinePrior())
-    search = _Search(job, machine, tuple(parts))
-    x = np.zeros(machine.count) if known is None else known.parameters
-    for _ in range(_FIRST_STEPS if known is None else _LATER_STEPS):
-        tell("what the machine does beyond its model")
-        system = search.linearised(x)
-        if system.gain < _LEAST_GAIN:
+    search = _Search(job, prior or MachinePrior(), tuple(parts))
+    x = search.center if known is None else known.posterior.mean
+    tell("what the machine does beyond its model")
+    system = search.linearised(x)
+    for step in range(_FIRST_STEPS if known is None else _LATER_STEPS):
+        if step > 0:
+            system = search.linearised(x)
+        if system.gain < LEAST_GAIN:
             tell("the parts show nothing that the model does not know")
             break
         x = search.step(x, system)
@@ -136,39 +206,66 @@ class _Search:
     """Gauss-Newton on the parameters of a machine, the process integrated out.
 
     Attributes:
-        set_up: What the set-ups of the measurements leave open, of one part after the
-            other, in units of its priors, shape (nuisance,).
+        center: Parameters before these parts are seen, shape (parameter,).
+        set_up: What the set-ups of the measurements leave open, of one after the other,
+            in units of its priors, shape (nuisance,).
     """
 
-    def __init__(self, job: Job, machine: AdaptableMachine, parts: tuple[Part, ...]):
-        self.job, self.machine = job, machine
+    def __init__(
+        self,
+        job: Job,
+        prior: MachinePrior | MachinePosterior,
+        parts: tuple[Part, ...],
+    ):
+        self.job, self.known = job, None
+        if isinstance(prior, MachinePosterior):
+            self.known, self.machine = prior, prior.machine_for(job)
+            self.center = prior.mean
+        else:
+            self.machine = AdaptableMachine.of_job(job, prior)
+            self.center = np.zeros(self.machine.count)
+        base = self.machine.base
         self.commands = [np.asarray(part.commanded) for part in parts]
-        self.rigid = rigid_cut(machine.base, FrozenStock())
+        self.rigid = rigid_cut(base, FrozenStock())
+        self.force_slopes = self.machine.rigid_force_slopes()
         program = jnp.asarray(job.path.positions)
-        self.model = Solution.of_command(
-            machine.base, self.rigid, program, FrozenStock()
-        )
-        self.seen = tuple(part.measured.seen(job, self.model) for part in parts)
-        self.weights = np.ones(len(parts))
-        self.free = np.flatnonzero(machine.is_free)
+        self.model = Solution.of_command(base, self.rigid, program, FrozenStock())
+        found = [
+            (k, measured.seen(base, self.model))
+            for k, part in enumerate(parts)
+            for measured in part.measurements
+        ]
+        self.part = [k for k, _ in found]
+        self.seen = tuple(seen for _, seen in found)
+        self.weights = np.ones(len(found))
+        self.free = np.flatnonzero(self.machine.is_free)
         self.set_up = np.zeros(sum(s.nuisance.shape[1] for s in self.seen))
+        self._predicted: dict[tuple[bytes, int], Observables] = {}
+        self._columns: Observables | None = None
 
-    def predicted(self, x: np.ndarray, command: FloatRows3) -> Rows3:
-        """Deviation of the tip at the wall instants with some parameters [m]."""
-        adapted = self.machine.job_at(x)
-        run = Solution.of_command(
-            adapted, self.rigid, jnp.asarray(command), FrozenStock()
-        )
-        run.raise_unless_successful(adapted)
-        desired = np.asarray(self.job.path.positions)
-        return np.asarray(run.surface_deviation) + self.machine.field(x, desired)
+    def predicted(self, x: np.ndarray, part: int) -> Observables:
+        """What is seen of the run of a part, with some parameters."""
+        key = x.tobytes(), part
+        if key not in self._predicted:
+            adapted, command = self.machine.job_at(x), self.commands[part]
+            run = Solution.of_command(
+                adapted, self.rigid, jnp.asarray(command), FrozenStock()
+            )
+            run.raise_unless_successful(adapted)
+            arm = np.asarray(run.surface_deviation)
+            field = self.machine.field(x, np.asarray(self.job.path.positions))
+            shift = self.machine.frame_shift(adapted)
+            self._predicted[key] = Observables(
+                arm + field, arm - shift, np.asarray(run.force)
+            )
+        return self._predicted[key]
 
     def residuals(self, x: np.ndarray) -> list[np.ndarray]:
-        """Deviation of each part beyond the machine and the set-ups [m]."""
+        """What each measurement shows beyond the machine and its set-up [m or N]."""
         found, first = [], 0
-        for seen, command in zip(self.seen, self.commands, strict=True):
+        for seen, part in zip(self.seen, self.part, strict=True):
             last = first + seen.nuisance.shape[1]
-            known = seen.of_rows(self.predicted(x, command))
+            known = seen.of(self.predicted(x, part))
             known = known + seen.nuisance @ self.set_up[first:last]
             found.append(seen.value - known)
             first = last
@@ -176,21 +273,28 @@ class _Search:
 
     def weigh(self, residuals: list[np.ndarray]) -> Stacked:
         """Observations in which older parts count less by what changed since."""
-        last = residuals[-1]
-        for k, own in enumerate(residuals[:-1]):
-            if own.shape == last.shape:
-                noise = float(np.mean(self.seen[k].variance))
-                drift = max(0.0, float(np.mean((own - last) ** 2)) - 2 * noise)
-                self.weights[k] = noise / (noise + drift)
+        for k, (own, seen) in enumerate(zip(residuals, self.seen, strict=True)):
+            later = [
+                residuals[n]
+                for n in range(k + 1, len(residuals))
+                if residuals[n].shape == own.shape
+                and self.seen[n].observed == seen.observed
+            ]
+            if later:
+                noise = float(np.mean(seen.variance))
+                drift = float(np.mean((own - later[-1]) ** 2)) - 2 * noise
+                self.weights[k] = noise / (noise + max(0.0, drift))
         return Stacked.of(self.seen, self.weights)
 
-    def slopes(self, x: np.ndarray) -> np.ndarray:
-        """Columns of all observations in the parameters; of the last command."""
-        columns = self.machine.columns(x, self.rigid, self.commands[-1])
-        return np.concatenate([seen.of_rows(columns) for seen in self.seen])
+    def columns(self, x: np.ndarray) -> Observables:
+        """Slopes of what is seen of the last command, in the parameters."""
+        self._columns = self.machine.columns(
+            x, self.rigid, self.commands[-1], self.force_slopes
+        )
+        return self._columns
 
     def nuisance(self) -> np.ndarray:
-        """Columns of what the set-ups leave open, of one part after the other."""
+        """Columns of what the set-ups leave open, of one after the other."""
         from scipy.linalg import block_diag
 
         blocks = np.asarray(block_diag(*(seen.nuisance for seen in self.seen)))
@@ -201,13 +305,25 @@ class _Search:
         residuals = self.residuals(x)
         stacked = self.weigh(residuals)
         residual = np.concatenate(residuals)
-        found = processes(stacked, residual)
-        columns = [residual[:, None], self.slopes(x)[:, self.free], self.nuisance()]
-        white = whitened(stacked, found, np.concatenate(columns, axis=1))
+        found, columns = processes(stacked, residual), self.columns(x)
+        slopes = np.concatenate([seen.of(columns) for seen in self.seen])
+        rows = [residual[:, None], slopes[:, self.free], self.nuisance()]
+        white = whitened(stacked, found, np.concatenate(rows, axis=1))
         r, M = white[:, 0], white[:, 1:]
         at = np.r_[x[self.free], self.set_up]
-        prior = chosen_prior(self.machine, self.free, M, r + M @ at)
+        prior = self._prior(M, r + M @ at)
         return Linearised(at, M, r, prior, prior.gain + found.gain)
+
+    def _prior(self, slopes: np.ndarray, seen: np.ndarray) -> Prior:
+        """Prior of the unknowns: of sizes that suit them, or what is known."""
+        if self.known is None:
+            return chosen_prior(self.machine, self.free, slopes, seen)
+        count, more = len(self.free), len(self.set_up)
+        covariance = np.eye(count + more)
+        own = self.known.covariance[np.ix_(self.free, self.free)]
+        covariance[:count, :count] = own + _LEAST_VARIANCE * np.eye(count)
+        mean = np.r_[self.center[self.free], np.zeros(more)]
+        return known_prior(mean, covariance, slopes, seen)
 
     def step(self, x: np.ndarray, system: Linearised) -> np.ndarray:
         """Parameters after a Gauss-Newton step, which also takes the set-ups."""
@@ -230,26 +346,51 @@ class _Search:
         mean, deviation = self._disturbance(
             stacked, processes(stacked, residual), residual
         )
-        if system.gain < _LEAST_GAIN:
+        if system.gain < LEAST_GAIN:
             mean = np.zeros_like(mean)
-        count = len(self.free)
+        count, free = len(self.free), self.free
         covariance = np.zeros((self.machine.count, self.machine.count))
-        covariance[np.ix_(self.free, self.free)] = system.covariance()[:count, :count]
-        desired = np.asarray(self.job.path.positions)
-        adapted = self.machine.job_at(x)
-        path = dataclasses.replace(
-            adapted.path, disturbance=mean + self.machine.field(x, desired)
-        )
-        return LearnedMachine(
-            job=dataclasses.replace(adapted, path=path),
-            parameters=x,
+        covariance[np.ix_(free, free)] = system.covariance()[:count, :count]
+        posterior = MachinePosterior(
+            mean=x,
             covariance=covariance,
-            names=self.machine.names,
             sizes=self.machine.sizes,
+            names=self.machine.names,
+            center=self.machine.center,
+            desired=np.asarray(self.job.path.positions, np.float64),
             disturbance=mean,
             uncertainty=deviation,
+        )
+        assert self._columns is not None
+        return LearnedMachine(
+            job=posterior.job_for(self.job),
+            posterior=posterior,
             gain=system.gain,
+            explained=self._explained(residuals, mean),
+            columns=self._columns.tip,
             machine=self.machine,
+        )
+
+    def _explained(
+        self, residuals: list[np.ndarray], disturbance: Rows3
+    ) -> tuple[ExplainedError, ...]:
+        """What of each measurement is explained."""
+        rms = lambda values: float(np.sqrt(np.mean(values**2)))
+        before = self.residuals(np.zeros(self.machine.count))
+        none = np.zeros_like(disturbance)
+        process = Observables(disturbance, disturbance, none)
+        return tuple(
+            ExplainedError(
+                part + 1,
+                seen.observed,
+                rms(first),
+                rms(own),
+                rms(own - seen.of(process)),
+                float(np.sqrt(np.mean(seen.variance))),
+            )
+            for part, seen, first, own in zip(
+                self.part, self.seen, before, residuals, strict=True
+            )
         )
 
     def _disturbance(
@@ -258,7 +399,8 @@ class _Search:
         """Posterior mean and deviation of the process at the wall instants [m]."""
         times = wall_times(self.model)
         mean, variance = np.zeros((len(times), 3)), np.zeros((len(times), 3))
-        for process, chosen in zip(found.process, found.chosen, strict=True):
+        of_tip = found.process[: found.of_tip], found.chosen[: found.of_tip]
+        for process, chosen in zip(*of_tip, strict=True):
             seen = stacked.observations(chosen)
             m, s = process.smoothed(seen, stacked.rows(residual, chosen), times)
             mean, variance = mean + np.asarray(m), variance + np.asarray(s) ** 2

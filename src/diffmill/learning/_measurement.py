@@ -1,37 +1,63 @@
-"""What was measured of a part: the tip on its way, or points of the finished part."""
+"""What was measured of a part: tip, joints and forces on its way, points of walls."""
 
 import abc
+import dataclasses
+from typing import Literal, NamedTuple, TypeAlias
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
 from .._job import Job
-from .._types import FloatRows3, FloatSteps, RealScalarLike
+from .._types import FloatRows, FloatRows3, FloatSteps, RealScalarLike
+from ..robot import forward_kinematics, jacobian
 from ..sim import Solution
 
 Values = Float[np.ndarray, " observation"]
+Observed: TypeAlias = Literal["tip", "arm", "force"]
+# No instrument is better [m].
+_LEAST_NOISE = 1e-8
+# A sample at the end of a period belongs to it [s].
+_ROUNDING = 1e-9
+
+
+class Observables(NamedTuple):
+    """What can be seen of a run, at its rows.
+
+    Attributes:
+        tip: Deviation of the tip at the wall instants [m], shape (step, 3, ...).
+        arm: The same as encoders on the links see it: the work where it was before
+            anything was learnt, and without what errors of links leave.
+        force: Mean force on the tool over the period before [N], same shape.
+    """
+
+    tip: Float[np.ndarray, "step 3 *more"]
+    arm: Float[np.ndarray, "step 3 *more"]
+    force: Float[np.ndarray, "step 3 *more"]
 
 
 class Seen(eqx.Module):
-    """Scalar observations of the tip's deviation at the wall instants of a path.
+    """Scalar observations of one of the observables of a run.
 
-    Observation i sees d_i . ((1 - a_i) e[k_i] + a_i e[k_i + 1]), e the deviation.
+    Observation i sees d_i . ((1 - a_i) e[k_i] + a_i e[k_i + 1]), e the observable.
 
     Attributes:
+        observed: Which observable e is.
         time: When, along the path [s], shape (observation,).
         row: k, shape (observation,).
         share: a, shape (observation,).
         direction: d, unit vectors, shape (observation, 3).
-        variance: Of the instrument's noise [m^2], shape (observation,).
-        value: What was seen [m], shape (observation,).
+        variance: Of the instrument's noise [m^2 or N^2], shape (observation,).
+        value: What was seen [m or N], shape (observation,).
         nuisance: Slopes in what the set-up of the measurement leaves open, in units of
             its priors, shape (observation, nuisance).
         is_tracked: Whether all axes are seen in each row, so that each may have a
             process of its own.
     """
 
+    observed: Observed = eqx.field(static=True)
     time: Values
     row: Int[np.ndarray, " observation"]
     share: Values
@@ -41,8 +67,9 @@ class Seen(eqx.Module):
     nuisance: Float[np.ndarray, "observation nuisance"]
     is_tracked: bool = eqx.field(static=True)
 
-    def of_rows(self, rows: Float[np.ndarray, "step 3 *more"]) -> np.ndarray:
-        """Observations of rows without noise, shape (observation, ...)."""
+    def of(self, run: Observables) -> np.ndarray:
+        """Observations of a run, or of its slopes, shape (observation, ...)."""
+        rows = getattr(run, self.observed)
         lower, upper = rows[self.row], rows[np.minimum(self.row + 1, len(rows) - 1)]
         share = self.share.reshape(-1, *[1] * (rows.ndim - 1))
         between = (1 - share) * lower + share * upper
@@ -131,6 +158,7 @@ class TrackedTips(AbstractMeasurement):
         nuisance[:, :, 6] = float(self.delay) * velocity
         used = nuisance.any(axis=(0, 1))
         return Seen(
+            observed="tip",
             time=np.repeat(time, 3),
             row=np.repeat(row, 3),
             share=np.repeat(share, 3),
@@ -138,6 +166,131 @@ class TrackedTips(AbstractMeasurement):
             variance=np.full(3 * count, float(self.noise) ** 2),
             value=away.reshape(-1),
             nuisance=nuisance.reshape(3 * count, 7)[:, used],
+            is_tracked=True,
+        )
+
+
+class LinkEncoders(AbstractMeasurement):
+    """Joints over time, by encoders on the links, behind the gears.
+
+    Encoders on the motors do not see what springs and gaps do: `identify` with
+    `kind = "controller"` or "reversal" takes their records.
+
+    Attributes:
+        joints: Joint positions [rad or m], shape (sample, joint).
+        noise: Standard deviation of each [rad or m].
+        time: Since the program began [s], shape (sample,).
+        offset: That of the zero of each encoder [rad or m].
+        delay: That of their clock against the program's [s].
+    """
+
+    joints: FloatRows
+    noise: RealScalarLike
+    time: FloatSteps
+    offset: RealScalarLike = 0.0
+    delay: RealScalarLike = 0.0
+
+    def seen(self, job: Job, rigid: Solution) -> Seen:
+        """Three scalar observations for each sample: of the tip as the joints place it.
+
+        Raises:
+            ValueError: The record has another number of joints, or its rows are not in
+                the order of time.
+        """
+        robot = job.robot
+        q = np.asarray(self.joints, np.float64)
+        if robot is None or q.ndim != 2 or q.shape[1] != robot.joint_count:
+            count = 0 if robot is None else robot.joint_count
+            raise ValueError(
+                f"Argument `joints` must have {count} columns, one for each joint, but "
+                f"has shape {q.shape}."
+            )
+        T = np.asarray(job.T_base_work, np.float64)
+        tips = np.asarray(jax.vmap(lambda q: forward_kinematics(robot, q)[:3, 3])(q))
+        tips = (tips - T[:3, 3]) @ T[:3, :3]
+        # As a tracker that would see each coordinate to one metre.
+        tracked = TrackedTips(tips, 1.0, self.time, delay=self.delay)
+        seen = tracked.seen(job, rigid)
+        count = len(seen.time) // 3
+        own = np.asarray(self.time, np.float64)
+        inside = np.searchsorted(own, seen.time[::3])
+        J = np.asarray(jax.vmap(lambda q: jacobian(robot, q)[:3])(q[inside]))
+        J = np.einsum("ba,kbj->kaj", T[:3, :3], J)
+        variance, axes = np.linalg.eigh(
+            float(self.noise) ** 2 * np.einsum("kaj,kbj->kab", J, J)
+        )
+        # Along these directions the noise of the encoders is not correlated.
+        direction = np.swapaxes(axes, 1, 2)
+        turned = lambda rows: np.einsum(
+            "kia,ka...->ki...", direction, rows.reshape(count, 3, *rows.shape[1:])
+        ).reshape(rows.shape)
+        zeros = float(self.offset) * np.einsum("kia,kaj->kij", direction, J)
+        nuisance = np.concatenate(
+            [turned(seen.nuisance), zeros.reshape(3 * count, -1)], axis=1
+        )
+        return dataclasses.replace(
+            seen,
+            observed="arm",
+            direction=direction.reshape(-1, 3),
+            # A pose in which no joint moves the tip along a direction tells nothing.
+            variance=np.maximum(variance.reshape(-1), _LEAST_NOISE**2),
+            value=turned(seen.value),
+            nuisance=nuisance[:, nuisance.any(axis=0)],
+            is_tracked=False,
+        )
+
+
+class MeasuredForces(AbstractMeasurement):
+    """Forces on the tool over time, by a dynamometer or a sensor in the flange.
+
+    Attributes:
+        force: Forces on the tool, along the axes of `work` [N], shape (sample, 3).
+        noise: Standard deviation of each sample [N].
+        time: Since the program began [s], shape (sample,).
+        offset: That of each axis of the instrument [N].
+    """
+
+    force: FloatRows3
+    noise: RealScalarLike
+    time: FloatSteps
+    offset: RealScalarLike = 0.0
+
+    def seen(self, job: Job, rigid: Solution) -> Seen:
+        """Three scalar observations for each tooth period that has a sample.
+
+        Raises:
+            ValueError: The rows are not in the order of time, or none is within the
+                program.
+        """
+        time, force = np.asarray(self.time, np.float64), np.asarray(self.force)
+        if force.shape != (len(time), 3) or not np.all(np.diff(time) > 0):
+            raise ValueError(
+                "Arguments `time` and `force` must have the same rows, in the order of "
+                f"time, but have shapes {time.shape} and {force.shape}."
+            )
+        ends = np.asarray(rigid.time, np.float64)
+        row = np.searchsorted(ends, time - _ROUNDING)
+        inside = (row > 0) & (row < len(ends))
+        if not inside.any():
+            raise ValueError(
+                f"Argument `time` must have instants within the program's "
+                f"{ends[-1]:.3g} s, but ends at {time[-1]:.3g} s."
+            )
+        row, counts = np.unique(row[inside], return_counts=True)
+        first = np.r_[0, np.cumsum(counts)[:-1]]
+        mean = np.add.reduceat(force[inside], first, axis=0) / counts[:, None]
+        count = len(row)
+        nuisance = float(self.offset) * np.tile(np.eye(3), (count, 1))
+        has_offset = float(self.offset) > 0
+        return Seen(
+            observed="force",
+            time=np.repeat(ends[row], 3),
+            row=np.repeat(row, 3),
+            share=np.zeros(3 * count),
+            direction=np.tile(np.eye(3), (count, 1)),
+            variance=np.repeat(float(self.noise) ** 2 / counts, 3),
+            value=mean.reshape(-1),
+            nuisance=nuisance[:, : 3 * has_offset],
             is_tracked=True,
         )
 
@@ -216,6 +369,7 @@ class WallPoints(AbstractMeasurement):
         order = np.argsort(time, kind="stable")
         has_offset = float(self.offset) > 0
         return Seen(
+            observed="tip",
             time=time[order],
             row=row[order],
             share=share[order],
@@ -232,11 +386,17 @@ class Part(eqx.Module):
 
     Attributes:
         commanded: Tips that were commanded [m], shape (step, 3).
-        measured: What was measured of it.
+        measured: What was measured of it, by one instrument or several.
     """
 
     commanded: FloatRows3
-    measured: AbstractMeasurement
+    measured: AbstractMeasurement | tuple[AbstractMeasurement, ...]
+
+    @property
+    def measurements(self) -> tuple[AbstractMeasurement, ...]:
+        """What was measured, by instrument."""
+        own = self.measured
+        return own if isinstance(own, tuple) else (own,)
 
     def __post_init__(self):
         object.__setattr__(self, "commanded", jnp.asarray(self.commanded))

@@ -15,7 +15,7 @@ from .._job import Job
 from .._types import FloatRows, RealScalarLike, Transform
 from ..cutting import AbstractForceLaw
 from ..process import FrozenStock, wall_deviation
-from ..robot import Robot, jacobian
+from ..robot import Controller, Robot, jacobian
 from ..sim import (
     JobKinematics,
     MachiningProblem,
@@ -25,6 +25,7 @@ from ..sim import (
     mismatched,
     rigid_cut,
 )
+from ._measurement import Observables
 
 # Rate above which a joint of a robot without friction of its own slides [rad/s or m/s].
 _FRICTION_SPEED = 2e-3
@@ -54,6 +55,7 @@ class MachinePrior(eqx.Module):
         friction: Of the Coulomb friction of each joint, as the angle by which it bends
             the joint's spring [rad or m].
         backlash: Of the gap of each joint [rad or m].
+        servo: Of the logarithm of the bandwidth of each servo, if the job has any [-].
         offset: Of the tip's error all over the work, along each axis [m].
         gradient: Of how that error grows over the work, each component [-].
     """
@@ -64,6 +66,7 @@ class MachinePrior(eqx.Module):
     coefficient: float = 0.07
     friction: float | tuple[float, ...] = 2e-5
     backlash: float | tuple[float, ...] = 3e-5
+    servo: float | tuple[float, ...] = 0.1
     offset: float = 3e-5
     gradient: float = 2e-4
 
@@ -72,7 +75,8 @@ class Group(eqx.Module):
     """Parameters of one kind, one after the other.
 
     Attributes:
-        name: "stiffness", "damping", "force", "friction", "backlash" or "field".
+        name: "stiffness", "damping", "force", "friction", "backlash", "servo" or
+            "field".
         first: Index of the first one.
         count: How many there are.
     """
@@ -97,8 +101,6 @@ class AdaptableMachine(eqx.Module):
         base: The job; its controller knows the model.
         sizes: Standard deviations of the priors, shape (parameter,).
         center: Point of the work about which the field turns [m], shape (3,).
-        force_slopes: Slopes of the force of the rigid cut in the logarithms of the
-            coefficients [N], shape (step, 3, coefficient).
         groups: The parameters by kind; the field is the last.
         names: Names of the parameters.
     """
@@ -106,7 +108,6 @@ class AdaptableMachine(eqx.Module):
     base: Job
     sizes: Float[np.ndarray, " parameter"]
     center: Float[np.ndarray, " 3"]
-    force_slopes: Float[Array, "step 3 coefficient"]
     groups: tuple[Group, ...] = eqx.field(static=True)
     names: tuple[str, ...] = eqx.field(static=True)
 
@@ -142,6 +143,10 @@ class AdaptableMachine(eqx.Module):
                 np.where(motors, each(prior.backlash), 0.0),
                 [f"backlash {n}" for n in joints],
             ),
+            "servo": (
+                np.where(motors & _has_servos(job), each(prior.servo), 0.0),
+                [f"servo {n}" for n in joints],
+            ),
             "field": (
                 np.r_[np.full(3, prior.offset), np.full(9, prior.gradient)],
                 [
@@ -159,7 +164,6 @@ class AdaptableMachine(eqx.Module):
             base=base,
             sizes=np.concatenate([sizes for sizes, _ in kinds.values()]),
             center=0.5 * (positions.min(axis=0) + positions.max(axis=0)),
-            force_slopes=_rigid_force_slopes(base),
             groups=tuple(groups),
             names=tuple(name for _, names in kinds.values() for name in names),
         )
@@ -218,8 +222,9 @@ class AdaptableMachine(eqx.Module):
         x: Float[np.ndarray, " parameter"],
         rigid: Run,
         commanded: FloatRows,
-    ) -> Float[np.ndarray, "step 3 parameter"]:
-        """Slopes of the tip at the wall instants of a run in the parameters [m].
+        force_slopes: Float[Array, "step 3 coefficient"],
+    ) -> Observables:
+        """Slopes of what is seen of a run in the parameters, (step, 3, parameter).
 
         A parameter of a drive is a torque along the path, which follows from where the
         joints are, and one of the force one that follows from the rigid cut. One linear
@@ -230,6 +235,7 @@ class AdaptableMachine(eqx.Module):
             x: Parameters, shape (parameter,).
             rigid: Rigid cut of the base.
             commanded: Commanded tips [m], shape (step, 3).
+            force_slopes: `rigid_force_slopes()`.
         """
         at = x.copy()
         gaps = self.group("backlash").index
@@ -241,11 +247,55 @@ class AdaptableMachine(eqx.Module):
         slopes = known.motor_slopes(joints, command)
         run = Solution.of_command(job, rigid, command, FrozenStock(), motors)
         assert run.joint_positions is not None and run.motor_positions is not None
+        force = self._force_columns(x, force_slopes)
         seen = _DrivenRun(
-            motors, slopes, run.joint_positions, run.motor_positions, run.wall_share
+            motors,
+            slopes,
+            run.joint_positions,
+            run.motor_positions,
+            run.wall_share,
+            force,
         )
-        found = _columns(self, job, jnp.asarray(at), seen)
-        return np.asarray(found) + self.field_columns(np.asarray(job.path.positions))
+        tip, arm = _columns(self, job, jnp.asarray(at), seen)
+        field = self.field_columns(np.asarray(job.path.positions))
+        return Observables(np.asarray(tip) + field, np.asarray(arm), np.asarray(force))
+
+    def _force_columns(
+        self,
+        x: Float[np.ndarray, " parameter"],
+        slopes: Float[Array, "step 3 coefficient"],
+    ) -> Float[Array, "step 3 parameter"]:
+        """Slopes of the force of the rigid cut in the parameters [N]."""
+        group = self.group("force")
+        sizes, own = self.sizes[group.index], x[group.index]
+        # The first of the group is what all coefficients have in common.
+        together = np.where(sizes[1:] > 0, sizes[0], 0.0)
+        change = together * own[0] + sizes[1:] * own[1:]
+        each = np.concatenate([together[:, None], np.diag(sizes[1:])], axis=1)
+        found = jnp.zeros((*slopes.shape[:2], self.count), slopes.dtype)
+        # A force is linear in its coefficients, and exponential in the parameters.
+        scaled = slopes @ jnp.asarray(np.exp(change)[:, None] * each)
+        return found.at[:, :, group.index].set(scaled)
+
+    def rigid_force_slopes(self) -> Float[Array, "step 3 coefficient"]:
+        """Slopes of the force of the rigid cut in the coefficients' logarithms [N]."""
+        return _rigid_force_slopes(self.base)
+
+    def frame_shift(self, job: Job) -> Rows3:
+        """Motion of the path in the work, as the work is touched off anew [m].
+
+        Args:
+            job: The job of some parameters, touched off.
+        """
+        own, new = (np.asarray(j.T_base_work, np.float64) for j in (self.base, job))
+        points = np.asarray(job.path.positions, np.float64)
+        places = points @ own[:3, :3].T + own[:3, 3] - new[:3, 3]
+        return places @ new[:3, :3] - points
+
+
+def _has_servos(job: Job) -> bool:
+    """Whether the motors of a job follow servos."""
+    return job.controller is not None and job.controller.bandwidth is not None
 
 
 def _rigid_force_slopes(job: Job) -> Float[Array, "step 3 coefficient"]:
@@ -306,7 +356,16 @@ def _machine_at(machine: AdaptableMachine, x: Array, corner: RealScalarLike) -> 
         jnp.where(is_gap, gap, 0.0),
         corner,
     )
-    return dataclasses.replace(scaled, robot=robot, nominal=job.nominal)
+    controller = job.controller
+    if controller is not None and controller.bandwidth is not None:
+        bandwidth = controller.bandwidth * jnp.exp(values["servo"])
+        controller = dataclasses.replace(controller, bandwidth=bandwidth)
+        if controller.damping_ratio is not None:
+            ratio = jnp.broadcast_to(controller.damping_ratio, bandwidth.shape)
+            controller = dataclasses.replace(controller, damping_ratio=ratio)
+    return dataclasses.replace(
+        scaled, robot=robot, nominal=job.nominal, controller=controller
+    )
 
 
 class _TouchedOff(NamedTuple):
@@ -316,6 +375,7 @@ class _TouchedOff(NamedTuple):
     law: AbstractForceLaw
     bottom_law: AbstractForceLaw | None
     T_base_work: Transform
+    controller: Controller | None
 
 
 @eqx.filter_jit
@@ -324,7 +384,9 @@ def _frame_at(
 ) -> _TouchedOff:
     job = _machine_at(machine, x, corner).touched_off()
     assert job.robot is not None
-    return _TouchedOff(job.robot, job.law, job.bottom_law, job.T_base_work)
+    return _TouchedOff(
+        job.robot, job.law, job.bottom_law, job.T_base_work, job.controller
+    )
 
 
 def _touched_off(machine: AdaptableMachine, x: Array, corner: float) -> Job:
@@ -341,6 +403,7 @@ class _DrivenRun(eqx.Module):
         joints: Where the joints are [rad or m], shape (step, joint).
         driven: Motors behind the controller [rad or m], shape (step, joint).
         wall_share: When in each period the wall is made, shape (step,).
+        force: Slopes of the force in the parameters [N], shape (step, 3, parameter).
     """
 
     motors: Float[Array, "step joint"]
@@ -348,13 +411,14 @@ class _DrivenRun(eqx.Module):
     joints: Float[Array, "step joint"]
     driven: Float[Array, "step joint"]
     wall_share: Float[Array, " step"]
+    force: Float[Array, "step 3 parameter"]
 
 
 @eqx.filter_jit
 def _columns(
     machine: AdaptableMachine, job: Job, x: Array, around: _DrivenRun
-) -> Float[Array, "step 3 parameter"]:
-    """Slopes of the tip in all parameters but those of the field.
+) -> tuple[Float[Array, "step 3 parameter"], Float[Array, "step 3 parameter"]]:
+    """Slopes of the tip in all parameters but those of the field, and of the arm.
 
     Args:
         machine: The machine.
@@ -366,13 +430,21 @@ def _columns(
     desired, period = jnp.asarray(job.path.positions), job.tooth_period
     zero = jnp.zeros(machine.count, motors.dtype)
     at = lambda change: _machine_at(machine, x + change, jnp.asarray(_SMOOTH_CORNER))
-    controller = job.controller
     moved = _frame_motion(at, zero, job, desired)
     changes = jnp.einsum("kja,kap->kjp", around.slopes, moved)
+    controller = job.controller
     if controller is not None:
+        commanded = motors
         motors, changes = (controller.motors(y, period) for y in (motors, changes))
+        if _has_servos(job):
+            changes = changes + jax.jacfwd(
+                lambda change: _controller(at(change)).motors(commanded, period)
+            )(zero)
     torque = _torques(at, zero, joints, around.driven, period)
-    torque = torque + _force_torques(machine, job, joints)
+    R, robot = jnp.asarray(job.T_base_work)[:3, :3], job.robot
+    assert robot is not None
+    J = jax.vmap(lambda q: jacobian(robot, q)[:3])(joints)
+    torque = torque + jnp.einsum("kbj,ba,kap->kjp", J, R, around.force)
     problem = MachiningProblem.of(job, FrozenStock())
     assert problem.machine is not None
     command = jnp.concatenate([motors, jnp.zeros_like(motors)], axis=1)
@@ -380,26 +452,13 @@ def _columns(
     ends = run.move(jnp.concatenate([changes, torque], axis=1)).ends
     shares, still = around.wall_share, jnp.zeros_like(desired)
     of = lambda ends: wall_deviation(ends, still, shares)
-    return jax.vmap(of, in_axes=-1, out_axes=-1)(ends)
+    tip = jax.vmap(of, in_axes=-1, out_axes=-1)(ends)
+    return tip, tip - moved
 
 
-def _force_torques(
-    machine: AdaptableMachine,
-    job: Job,
-    joints: Float[Array, "step joint"],
-) -> Float[Array, "step joint parameter"]:
-    """Slopes of the joints' torques in the parameters of the force."""
-    robot, R = job.robot, jnp.asarray(job.T_base_work)[:3, :3]
-    assert robot is not None
-    group = machine.group("force")
-    sizes = jnp.asarray(machine.sizes[group.index])
-    # The first of the group is what all coefficients have in common.
-    together = jnp.where(sizes[1:] > 0, sizes[0], 0.0)
-    own = jnp.concatenate([together[:, None], jnp.diag(sizes[1:])], axis=1)
-    J = jax.vmap(lambda q: jacobian(robot, q)[:3])(joints)
-    torque = jnp.einsum("kbj,ba,kac,cp->kjp", J, R, machine.force_slopes, own)
-    found = jnp.zeros((*joints.shape, machine.count), torque.dtype)
-    return found.at[:, :, group.index].set(torque)
+def _controller(job: Job) -> Controller:
+    assert job.controller is not None
+    return job.controller
 
 
 def _frame_motion(

@@ -15,7 +15,15 @@ from ._parameters import AdaptableMachine
 # Shares of the priors that a group of parameters may have.
 _SHARES = (0.03, 0.3, 1.0)
 # Groups that get bigger and smaller together.
-_TOGETHER = (("stiffness", "damping"), ("force",), ("friction",), ("backlash",))
+_TOGETHER = (
+    ("stiffness", "damping"),
+    ("force",),
+    ("friction",),
+    ("backlash",),
+    ("servo",),
+)
+# Size of a process of forces, over that of one of the tip [N/m].
+_FORCE_SCALE = 1e6
 # Largest step of a parameter at once, in prior sizes.
 _TRUST = 3.0
 # Length of a process, in spacings of its observations, at which they show it [-].
@@ -60,38 +68,50 @@ class Processes(NamedTuple):
         process: One process per set.
         chosen: Observations of each, shape (set, observation).
         gain: How much more likely they make what was seen, logarithm.
+        of_tip: How many of them are of the tip; those of forces come last.
     """
 
     process: tuple[PathProcess, ...]
     chosen: tuple[np.ndarray, ...]
     gain: float
+    of_tip: int
 
 
 def processes(stacked: Stacked, residual: np.ndarray) -> Processes:
     """Processes of the largest marginal likelihood for a residual.
 
     A tracker sees each axis, which then has a process of its own; points of walls see
-    one direction each, and all axes share theirs. A constant is none of its matters:
-    touching off leaves one, which has a parameter.
+    one direction each, and all axes share theirs. Forces have their own. A constant is
+    none of its matters: touching off leaves one, which has a parameter.
     """
     direction = np.concatenate([s.direction for s in stacked.seen])
-    offset = np.linalg.lstsq(direction, residual, rcond=None)[0]
-    residual = residual - direction @ offset
     time = np.concatenate([s.time for s in stacked.seen])
-    if all(s.is_tracked for s in stacked.seen):
-        sets = [(np.eye(3)[a], direction[:, a] == 1) for a in range(3)]
-    else:
-        sets = [(np.ones(3), np.ones(len(time), bool))]
-    found, gain = [], 0.0
-    for axes, chosen in sets:
-        spacing = np.diff(np.unique(time[chosen]))
-        least = _LEAST_SPACINGS * float(np.median(spacing)) if len(spacing) else 0.0
-        seen = stacked.observations(chosen)
-        best = best_process(seen, stacked.rows(residual, chosen), axes, least)
-        length = jnp.full(3, best.length)
-        found.append(PathProcess(length, best.size * jnp.asarray(axes)))
-        gain += best.evidence - best.evidence_of_none
-    return Processes(tuple(found), tuple(chosen for _, chosen in sets), gain)
+    is_force = np.concatenate(
+        [np.full(len(s.time), s.observed == "force") for s in stacked.seen]
+    )
+    found, all_chosen, gain, of_tip = [], [], 0.0, 0
+    for kind in (False, True):
+        own = is_force == kind
+        seen = [s for s in stacked.seen if (s.observed == "force") == kind]
+        if not seen:
+            continue
+        offset = np.linalg.lstsq(direction[own], residual[own], rcond=None)[0]
+        away = residual - direction @ offset
+        sets = [(np.ones(3), own)]
+        if all(s.is_tracked for s in seen):
+            sets = [(np.eye(3)[a], own & (direction[:, a] == 1)) for a in range(3)]
+        for axes, chosen in sets:
+            spacing = np.diff(np.unique(time[chosen]))
+            least = _LEAST_SPACINGS * float(np.median(spacing)) if len(spacing) else 0.0
+            scale = _FORCE_SCALE if kind else 1.0
+            rows = stacked.rows(away, chosen)
+            best = best_process(stacked.observations(chosen), rows, axes, least, scale)
+            length = jnp.full(3, best.length)
+            found.append(PathProcess(length, best.size * jnp.asarray(axes)))
+            all_chosen.append(chosen)
+            gain += best.evidence - best.evidence_of_none
+        of_tip += 0 if kind else len(sets)
+    return Processes(tuple(found), tuple(all_chosen), gain, of_tip)
 
 
 def whitened(stacked: Stacked, found: Processes, columns: np.ndarray) -> np.ndarray:
@@ -109,14 +129,16 @@ def _whiten(process: PathProcess, seen: Observations, rows: jax.Array) -> jax.Ar
 
 
 class Prior(NamedTuple):
-    """Prior of the unknowns, with the group sizes of the largest likelihood.
+    """Normal prior of the unknowns: W (x - m) has variance one, without correlation.
 
     Attributes:
-        scale: Standard deviation of each unknown, in units of its full prior.
+        mean: m, shape (unknown,).
+        root: W, shape (unknown, unknown).
         gain: How much more likely the unknowns make what was seen, logarithm.
     """
 
-    scale: Float[np.ndarray, " unknown"]
+    mean: Float[np.ndarray, " unknown"]
+    root: Float[np.ndarray, "unknown unknown"]
     gain: float
 
 
@@ -145,9 +167,9 @@ class Linearised(NamedTuple):
         """
         from scipy.optimize import lsq_linear
 
-        x, scale = self.unknowns, self.prior.scale
-        rows = np.concatenate([np.diag(1 / scale), self.slopes])
-        right = np.concatenate([-x / scale, self.residual])
+        x, W = self.unknowns, self.prior.root
+        rows = np.concatenate([W, self.slopes])
+        right = np.concatenate([W @ (self.prior.mean - x), self.residual])
         Q, R = np.linalg.qr(rows)
         low = np.maximum(lower - x, -_TRUST) - 1e-9
         high = np.full(len(x), _TRUST) + 1e-9
@@ -155,9 +177,31 @@ class Linearised(NamedTuple):
 
     def covariance(self) -> Float[np.ndarray, "unknown unknown"]:
         """Covariance of the unknowns, in units of their full priors."""
-        return np.linalg.inv(
-            np.diag(1 / self.prior.scale**2) + self.slopes.T @ self.slopes
-        )
+        W = self.prior.root
+        return np.linalg.inv(W.T @ W + self.slopes.T @ self.slopes)
+
+
+def known_prior(
+    mean: np.ndarray, covariance: np.ndarray, slopes: np.ndarray, seen: np.ndarray
+) -> Prior:
+    """Prior that other parts have left, with how much more likely it makes these.
+
+    Args:
+        mean: Of the unknowns, shape (unknown,).
+        covariance: Of them, shape (unknown, unknown).
+        slopes: Whitened columns.
+        seen: Whitened observations with the unknowns at zero.
+    """
+    root = np.linalg.inv(np.linalg.cholesky(covariance))
+    return Prior(mean, root, _gain(slopes, seen - slopes @ mean, root))
+
+
+def _gain(slopes: np.ndarray, away: np.ndarray, root: np.ndarray) -> float:
+    """Logarithm of how much more likely unknowns make what is away from their mean."""
+    S = np.linalg.solve(root.T, slopes.T)
+    C = np.linalg.cholesky(np.eye(len(root)) + S @ S.T)
+    b = np.linalg.solve(C, S @ away)
+    return float(0.5 * b @ b - np.sum(np.log(np.diag(C))))
 
 
 def chosen_prior(
@@ -177,16 +221,17 @@ def chosen_prior(
     }
     sets = [np.concatenate([groups[n] for n in names]) for names in _TOGETHER]
     sets = [index for index in sets if len(index)]
-    G, h = slopes.T @ slopes, slopes.T @ seen
-    best = Prior(np.ones(len(G)), -np.inf)
+    count = slopes.shape[1]
+    # As long as the unknowns are many: what is left out is the same for all priors.
+    R = np.asarray(np.linalg.qr(np.column_stack([slopes, seen]), mode="r"))
+    rows, right = R[:, :count], R[:, count]
+    best = Prior(np.zeros(count), np.eye(count), -np.inf)
     for shares in itertools.product(_SHARES, repeat=len(sets)):
-        scale = np.ones(len(G))
+        scale = np.ones(count)
         for index, share in zip(sets, shares, strict=True):
             scale[index] = share
-        A = np.eye(len(G)) + scale[:, None] * G * scale
-        C = np.linalg.cholesky(A)
-        b = np.linalg.solve(C, scale * h)
-        gain = 0.5 * b @ b - np.sum(np.log(np.diag(C)))
+        root = np.diag(1 / scale)
+        gain = _gain(rows, right, root)
         if gain > best.gain:
-            best = Prior(scale, float(gain))
+            best = Prior(np.zeros(count), root, gain)
     return best

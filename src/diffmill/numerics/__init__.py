@@ -6,8 +6,8 @@ before it is mirrored. The filter has no phase shift, and its order and cut-off 
 arguments. `hat_integral` is the smooth step whose sum over samples does not depend on
 their phase, `ramp` a kink rounded off, `clamp` a clamp with a cheap derivative,
 `small_inverse` an inverse that batches well. The rest changes machine code and no
-result (`docs/machine_code.md`): `materialise`, `ShortAxis`, `Rematerialised`,
-`with_derivative_of`, `as_scalar_code` and `CachedJit`.
+result (`docs/machine_code.md`): `materialise`, `Rematerialised`, `with_derivative_of`,
+`as_scalar_code` and `CachedJit`.
 
 Assumes equally spaced samples on the host. Leaves out what JAX, equinox and optimistix
 already give, and filters within a traced function.
@@ -20,5 +20,4 @@ from ._xla.cached_jit import CachedJit as CachedJit
 from ._xla.materialise import materialise as materialise
 from ._xla.rematerialise import Rematerialised as Rematerialised
 from ._xla.scalar_code import as_scalar_code as as_scalar_code
-from ._xla.short_axis import ShortAxis as ShortAxis
 from ._xla.with_derivative import with_derivative_of as with_derivative_of

@@ -37,10 +37,10 @@ def report(study: KinematicStudy, result: KinematicStudy.Fit) -> Report:
         study: The measured poses.
         result: Their fit.
     """
-    fit, left_out = result.fit, result.left_out
+    fit, held_out = result.fit, result.held_out
     doubts = _doubts(result)
     parameters = fit.model.parameters
-    cases = _left_out(result)
+    cases = _held_out(result)
     facts = {
         "kind": study.kind,
         "parameters": [one.name for one in parameters],
@@ -54,7 +54,7 @@ def report(study: KinematicStudy, result: KinematicStudy.Fit) -> Report:
         "left_out_m": {
             name: {"mean": lengths.mean(), "largest": lengths.max()}
             for name, lengths in (
-                (name, left_out.lengths(one)) for name, one in cases.items()
+                (name, held_out.lengths(one)) for name, one in cases.items()
             )
         },
         "outlier_rows": _rows(study, fit.outliers),
@@ -76,13 +76,13 @@ def report(study: KinematicStudy, result: KinematicStudy.Fit) -> Report:
     figures = {
         "left_out": draw(
             plot_pose_errors,
-            {_CASES[name]: left_out.lengths(one) for name, one in cases.items()},
+            {_CASES[name]: held_out.lengths(one) for name, one in cases.items()},
             title="errors of poses that were left out",
         ),
         "prediction": draw(
             plot_prediction,
-            left_out.before[:, :3],
-            (left_out.before - left_out.after)[:, :3],
+            held_out.before[:, :3],
+            (held_out.before - held_out.after)[:, :3],
             unit="\u00b5m",
             scale=1e6,
             what="d",
@@ -99,7 +99,7 @@ def report(study: KinematicStudy, result: KinematicStudy.Fit) -> Report:
         )
     lines = [
         *_error_lines(study, result),
-        *_left_out_lines(study, result),
+        *_held_out_lines(study, result),
         *_open_lines(result),
         *_advice_lines(study, result),
         *all_noted(doubts, "warning"),
@@ -122,11 +122,11 @@ def _rows(study: KinematicStudy, places: Sequence[int]) -> list[int]:
     return [study.rows[i] if study.rows else i + 1 for i in places]
 
 
-def _left_out(
+def _held_out(
     result: KinematicStudy.Fit,
 ) -> dict[str, Float[np.ndarray, "pose component"]]:
     """Residuals of poses that were left out, by what predicts them."""
-    own = result.left_out
+    own = result.held_out
     cases = {"before": own.before, "after": own.after}
     return cases | (
         {} if own.with_process is None else {"with_process": own.with_process}
@@ -135,10 +135,10 @@ def _left_out(
 
 def _doubts(result: KinematicStudy.Fit) -> list[str]:
     """Sentences on why the errors should not be used."""
-    fit, left_out = result.fit, result.left_out
+    fit, held_out = result.fit, result.held_out
     doubts = []
-    before = float(np.median(left_out.lengths(left_out.before)))
-    after = float(np.median(left_out.lengths(left_out.after)))
+    before = float(np.median(held_out.lengths(held_out.before)))
+    after = float(np.median(held_out.lengths(held_out.after)))
     if before > _WRONG:
         doubts.append(
             f"The robot as stated is {1e3 * before:.3g} mm off: look at units, at the "
@@ -197,16 +197,16 @@ def _error_lines(study: KinematicStudy, result: KinematicStudy.Fit) -> list[str]
     return lines
 
 
-def _left_out_lines(study: KinematicStudy, result: KinematicStudy.Fit) -> list[str]:
+def _held_out_lines(study: KinematicStudy, result: KinematicStudy.Fit) -> list[str]:
     """Errors of poses that were left out, and what is left of them."""
-    fit, left_out = result.fit, result.left_out
+    fit, held_out = result.fit, result.held_out
     lines = ["", f"poses left out, each {_nth(study.folds)} predicted by the others:"]
-    for name, one in _left_out(result).items():
-        lengths = 1e3 * left_out.lengths(one)
+    for name, one in _held_out(result).items():
+        lengths = 1e3 * held_out.lengths(one)
         mean, largest = lengths.mean(), lengths.max()
         text = f"  {_CASES[name]:32}{mean:8.4f} mm mean, {largest:.4f} largest"
         if study.poses.rotation is not None:
-            text += f", {1e3 * left_out.angles(one).mean():.4f} mrad mean"
+            text += f", {1e3 * held_out.angles(one).mean():.4f} mrad mean"
         lines.append(text)
     lines += noted(
         f"One coordinate scatters by {1e6 * fit.spread[0]:.3g} um about the fit, "
@@ -214,7 +214,7 @@ def _left_out_lines(study: KinematicStudy, result: KinematicStudy.Fit) -> list[s
         "what no link error explains is left of the robot's repeatability, its gears "
         "and its load."
     )
-    if left_out.with_process is not None:
+    if held_out.with_process is not None:
         lines += noted("The process is told, and not written: no job reads it.")
     return lines
 

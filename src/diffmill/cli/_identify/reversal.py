@@ -63,7 +63,7 @@ def report(study: ReversalStudy, result: ReversalStudy.Fit) -> Report:
         toml_drives += table
         facts[name] = _facts(fitted)
         figures[f"reversal_{name}"] = functools.partial(
-            plot_reversal, name, fitted.left_out
+            plot_reversal, name, fitted.held_out
         )
     lines += [
         "",
@@ -71,7 +71,7 @@ def report(study: ReversalStudy, result: ReversalStudy.Fit) -> Report:
         f"{'joint':12}{'measured':>10}{'drive':>10}{'repeats':>10}  record",
     ]
     for name, fitted in zip(names, result.drives, strict=True):
-        for one in fitted.left_out:
+        for one in fitted.held_out:
             parts = "".join(f"{1e6 * rms:10.3g}" for rms in one.rms)
             lines.append(f"{name:12}{parts}  {one.name}")
         lines.append(
@@ -135,7 +135,7 @@ def _of(fitted: ReversalStudy.Drive) -> str:
 
 
 def _doubts(name: str, fitted: ReversalStudy.Drive) -> list[str]:
-    """What the records do not show of a joint."""
+    """Sentences on what the records do not show of a joint."""
     drive, doubts = fitted.drive, []
     if not math.isfinite(drive.stiffness.error):
         doubts.append(
@@ -149,7 +149,7 @@ def _doubts(name: str, fitted: ReversalStudy.Drive) -> list[str]:
             f"is at most {1e6 * most:.2g} urad."
         )
     if not math.isfinite(drive.backlash.error):
-        if not drive.is_loaded_both_ways:
+        if not drive.sees_both_flanks:
             doubts.append(
                 f"{name}: the load pulls to one side throughout, so that a gap stays "
                 "closed and no backlash shows."
@@ -233,6 +233,6 @@ def _facts(fitted: ReversalStudy.Drive) -> dict[str, object]:
         "presliding": drive.presliding,
         "presliding_interval": drive.presliding_interval,
         "independent_samples": drive.independent,
-        "left_out_rms": {one.name: one.rms for one in fitted.left_out},
+        "left_out_rms": {one.name: one.rms for one in fitted.held_out},
         "repeating_share": fitted.repeating_share,
     }

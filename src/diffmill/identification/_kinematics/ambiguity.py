@@ -39,7 +39,7 @@ class Ambiguity(eqx.Module):
 
 
 class Ambiguities(eqx.Module):
-    """What the poses leave open.
+    """Combinations of errors that the poses leave open.
 
     Attributes:
         structural: What no pose of this robot can tell under this instrument.
@@ -63,7 +63,7 @@ def candidate_poses(
 
 
 def at_poses(q: Float[np.ndarray, "pose joint"], poses: MeasuredPoses) -> MeasuredPoses:
-    """What an instrument of the same kind would measure elsewhere, numbers left open.
+    """Measurements of an instrument of the same kind elsewhere, numbers left open.
 
     Args:
         q: Joint positions [rad or m], shape (pose, joint).
@@ -100,7 +100,7 @@ def scaled_slopes(
 
 
 def ambiguities(fit: KinematicFit, poses: MeasuredPoses) -> Ambiguities:
-    """What measured poses leave open.
+    """Combinations of errors that measured poses leave open.
 
     Args:
         fit: The fit to them.

@@ -44,7 +44,7 @@ class MeasuredPoses(eqx.Module):
 
     @property
     def observed(self) -> Observed:
-        """What of a pose was measured."""
+        """Quantity of a pose that was measured."""
         if self.distance is not None:
             return "distance"
         return "position" if self.rotation is None else "frame"

@@ -96,8 +96,8 @@ class JointReversal:
     fitted: ColouredFit
 
     @property
-    def is_loaded_both_ways(self) -> bool:
-        """Whether the spring pulls to either side."""
+    def sees_both_flanks(self) -> bool:
+        """True if the spring pulls to either side, so that both flanks carry."""
         return self.load_sides >= _LEAST_SIDE
 
     @property

@@ -55,12 +55,12 @@ class ForceRecord:
 
     @property
     def knows_offset(self) -> bool:
-        """Whether a tare has shown the offset."""
+        """True if a tare has shown the offset."""
         return self.tare is not None
 
     @property
     def knows_drift(self) -> bool:
-        """Whether a tare before and behind the cut has shown the drift."""
+        """True if a tare before and behind the cut has shown the drift."""
         return self.tare is not None and bool(np.any(self.tare.drift != 0))
 
     def samples(

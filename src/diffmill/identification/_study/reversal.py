@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 
 from ...robot import Robot
+from .._reversal.held_out import HeldOutRecord, choose_repeating
 from .._reversal.joint_motion import JointMotion, JointRecord
 from .._reversal.joint_reversal import JointReversal
-from .._reversal.left_out import LeftOut, choose_repeating
 from .._reversal.repeating_error import RepeatingError
 from .study import OnProgress, StudyError, silent
 
@@ -23,19 +23,19 @@ class FittedDrive:
         joint: Index of the joint.
         drive: The fit to all records.
         repeating: Prior of the error that repeats; None if nothing does.
-        left_out: Every record, or half of the only one, predicted by the others.
+        held_out: Every record, or half of the only one, predicted by the others.
     """
 
     joint: int
     drive: JointReversal
     repeating: RepeatingError | None
-    left_out: tuple[LeftOut, ...]
+    held_out: tuple[HeldOutRecord, ...]
 
     @property
     def repeating_share(self) -> float:
         """Share that repeats of the square of what the drive leaves, left out."""
-        left = sum(one.rms[1] ** 2 for one in self.left_out)
-        return 1.0 - sum(one.rms[2] ** 2 for one in self.left_out) / left
+        left = sum(one.rms[1] ** 2 for one in self.held_out)
+        return 1.0 - sum(one.rms[2] ** 2 for one in self.held_out) / left
 
 
 @dataclasses.dataclass(frozen=True)
@@ -110,10 +110,10 @@ class ReversalStudy:
                 continue
             on_progress(f"{name}: records left out")
             parts = motions if len(motions) > 1 else _halves(motions[0])
-            repeating, left_out = choose_repeating(parts)
+            repeating, held_out = choose_repeating(parts)
             on_progress(f"{name}: all records")
             drive = JointReversal.of(motions, repeating)
-            drives.append(FittedDrive(joint, drive, repeating, left_out))
+            drives.append(FittedDrive(joint, drive, repeating, held_out))
         if not drives:
             raise StudyError(
                 " ".join(

@@ -34,7 +34,6 @@ from jaxtyping import Array, Bool, Float, Int
 from ...cutter import AbstractCutter
 from ...numerics import (
     Rematerialised,
-    ShortAxis,
     clamp,
     hat_integral,
     materialise,
@@ -464,11 +463,11 @@ def _combine(
     )
     least = _SMOOTHING.blind_weight
     low, high = columns.ends
-    z = ShortAxis.copies(ShortAxis.copies(rim.place[2], 9), 2 * len(low))
-    below = discs.filled_below(columns.ends - z.reshape(2, len(low), *z.shape[1:]))
+    z = jnp.broadcast_to(rim.place[2], (2, len(low), 9, *rim.place[2].shape))
+    below = discs.filled_below(columns.ends - z)
     signs = jnp.array([-1.0, 1.0], below.dtype).reshape(2, 1, 1, 1, 1)
     lengths = jnp.where((high > low)[None], signs * below, 0)
-    filled = ShortAxis.sum(ShortAxis.sum(lengths))
+    filled = jnp.sum(lengths, axis=(0, 1))
     weights = _column_weights(rim.place, origin, spacing)
     weights = _at_discs(weights, discs.count)
     # Beside a wall the columns in the air must not thin the disc: walls do that.
@@ -476,10 +475,10 @@ def _combine(
     fullest = _largest(filled)
     filled, fullest, weights = materialise((filled, fullest, weights))
     weighted = weights * filled
-    gap = ShortAxis.copies(fullest, filled.shape[0]) - filled
-    mean = ShortAxis.sum(weighted)
-    solid = ShortAxis.sum(weighted * filled) / (mean + least)
-    ledge = ShortAxis.sum(weighted * gap) / (ShortAxis.sum(weights * gap) + least)
+    gap = fullest[None] - filled
+    mean = jnp.sum(weighted, axis=0)
+    solid = jnp.sum(weighted * filled, axis=0) / (mean + least)
+    ledge = jnp.sum(weighted * gap, axis=0) / (jnp.sum(weights * gap, axis=0) + least)
     ground = wall_confidence * ledge
     rise = wall_confidence * (solid - ledge) + (1 - wall_confidence) * mean
     ground, rise = materialise((ground, rise))
@@ -493,7 +492,8 @@ def _at_discs(
     """Values of all discs, which may share them."""
     if values.shape[-2] == count:
         return values
-    return jnp.moveaxis(ShortAxis.copies(jnp.squeeze(values, -2), count), 0, -2)
+    shape = (*values.shape[:-2], count, values.shape[-1])
+    return jnp.broadcast_to(values, shape)
 
 
 @jax.custom_jvp
@@ -514,7 +514,7 @@ def _largest_jvp(primals: Any, tangents: Any) -> tuple[Array, Array]:
         largest = jnp.maximum(value, largest)
     each = jnp.arange(values.shape[0], dtype=jnp.int32)
     is_first = place[None] == each.reshape(-1, *(1,) * place.ndim)
-    return _largest(values), ShortAxis.sum(jnp.where(is_first, changes, 0))
+    return _largest(values), jnp.sum(jnp.where(is_first, changes, 0), axis=0)
 
 
 _largest.defjvp(_largest_jvp)
@@ -549,16 +549,16 @@ def _wall_occupancy(
     inward = jnp.zeros_like(heights)
     for f, wall in enumerate(walls):
         # On three lines, below and above.
-        x = ShortAxis.copies(_at_discs(place[f], len(heights)), 3 * 2)
-        x = x.reshape(wall.ends.shape)
+        x = _at_discs(place[f], len(heights))
+        x = jnp.broadcast_to(x, (3, 2, *x.shape)).reshape(wall.ends.shape)
         s = jnp.where(wall.is_upper, wall.ends - x, x - wall.ends)
         s = jnp.where(wall.is_empty, -reach, clamp(-reach, s, reach))
         below, above = materialise(jnp.unstack(s, axis=1), backward_only=True)
         lower, upper = (
             share * ((1 - (s / reach) ** 2) ** 2 + least)
             for share, s in (
-                (1 - ShortAxis.copies(q, 3), below),
-                (ShortAxis.copies(q, 3), above),
+                (1 - q[None], below),
+                (q[None], above),
             )
         )
         s = materialise((lower * below + upper * above) / (lower + upper))
@@ -566,7 +566,7 @@ def _wall_occupancy(
         at = (place[1 - f] - origin[1 - f]) / d
         t = jnp.broadcast_to(at - jax.lax.stop_gradient(jnp.round(at)), heights.shape)
         slope = ((0.5 - t) * (middle - left) + (0.5 + t) * (right - middle)) / d
-        s_here = ShortAxis.sum(_spline(t) * s)
+        s_here = jnp.sum(_spline(t) * s, axis=0)
         sees_here = (1 - (s_here / reach) ** 2) ** 2
         steepness = 1 + slope**2
         weight = sees_here / steepness**2

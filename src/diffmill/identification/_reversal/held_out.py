@@ -19,7 +19,7 @@ _SIZES = (0.5, 1.5, 5.0)
 
 
 @dataclasses.dataclass(frozen=True)
-class LeftOut:
+class HeldOutRecord:
     """A record of a joint as the others predict it, its own offset aside.
 
     Attributes:
@@ -45,7 +45,7 @@ class LeftOut:
 
 def choose_repeating(
     motions: Sequence[JointMotion],
-) -> tuple[RepeatingError | None, tuple[LeftOut, ...]]:
+) -> tuple[RepeatingError | None, tuple[HeldOutRecord, ...]]:
     """Error that repeats with the least error of records that are left out.
 
     Args:
@@ -64,7 +64,9 @@ def choose_repeating(
         measured = one.deflection(drive.delay.value)
         own = _predicted(others, one, drive, None)
         plain.append(
-            LeftOut(one.record.name, one.angle, measured - measured.mean(), own, own)
+            HeldOutRecord(
+                one.record.name, one.angle, measured - measured.mean(), own, own
+            )
         )
     left = math.sqrt(np.mean([one.rms[1] ** 2 for one in plain]))
     ends = [end(one.angle) for one in motions for end in (np.min, np.max)]

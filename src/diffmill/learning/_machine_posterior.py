@@ -1,0 +1,168 @@
+"""What parts have shown of a machine, for other programs and other processes."""
+
+import dataclasses
+import os
+from typing import TYPE_CHECKING
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+from .._job import Job
+from .._types import FloatRows3
+from ._parameters import AdaptableMachine, MachinePrior, Rows3
+
+if TYPE_CHECKING:
+    import xarray
+
+# Paths are the same within this [m].
+_SAME_PLACE = 1e-9
+
+
+class MachinePosterior(eqx.Module):
+    """Parameters of a machine as parts have shown them, and what none of them explains.
+
+    Attributes:
+        mean: Parameters in units of their priors, shape (parameter,).
+        covariance: Of these, shape (parameter, parameter).
+        sizes: Standard deviations of the priors, shape (parameter,).
+        names: Of the parameters.
+        center: Point of the work about which the field turns [m], shape (3,).
+        desired: Path along which the process holds [m], shape (step, 3).
+        disturbance: Mean of what no parameter explains [m], shape (step, 3).
+        uncertainty: Its standard deviation [m], shape (step, 3).
+    """
+
+    mean: Float[np.ndarray, " parameter"]
+    covariance: Float[np.ndarray, "parameter parameter"]
+    sizes: Float[np.ndarray, " parameter"]
+    names: tuple[str, ...] = eqx.field(static=True)
+    center: Float[np.ndarray, " 3"]
+    desired: Rows3
+    disturbance: Rows3
+    uncertainty: Rows3
+
+    def machine_for(self, job: Job) -> AdaptableMachine:
+        """Machine of a job, as a function of these parameters.
+
+        Args:
+            job: The job, in its precision; of any program.
+
+        Raises:
+            ValueError: The job's machine has other parameters.
+        """
+        machine = AdaptableMachine.of_job(job, MachinePrior())
+        if machine.names != self.names:
+            other = [n for n in machine.names if n not in self.names] or ["less"]
+            lost = [n for n in self.names if n not in machine.names] or ["no less"]
+            raise ValueError(
+                "Argument `job` must have the joints and force coefficients of the "
+                f"machine that was learnt, but has {', '.join(other)} and lacks "
+                f"{', '.join(lost)}."
+            )
+        return dataclasses.replace(machine, sizes=self.sizes, center=self.center)
+
+    def is_of(self, job: Job) -> bool:
+        """Whether a job has the program along which the process holds."""
+        own = np.asarray(job.path.positions)
+        return own.shape == self.desired.shape and bool(
+            np.abs(own - self.desired).max() < _SAME_PLACE
+        )
+
+    def job_for(
+        self, job: Job, parameters: Float[np.ndarray, " parameter"] | None = None
+    ) -> Job:
+        """Job of a program on the machine that was learnt, touched off.
+
+        What no parameter explains goes with the program along which it was seen, and
+        not to another one.
+
+        Args:
+            job: The job, in its precision; of any program.
+            parameters: Others than the mean, such as those of a draw.
+
+        Raises:
+            ValueError: The job's machine has other parameters.
+        """
+        machine = self.machine_for(job)
+        x = self.mean if parameters is None else parameters
+        adapted = machine.job_at(x)
+        more = machine.field(x, np.asarray(job.path.positions))
+        if self.is_of(job):
+            more = more + self.disturbance
+        own = job.path.disturbance
+        path = dataclasses.replace(
+            adapted.path, disturbance=more if own is None else own + more
+        )
+        return dataclasses.replace(adapted, path=path)
+
+    def draw(
+        self, machine: AdaptableMachine, stream: np.random.Generator
+    ) -> Float[np.ndarray, " parameter"]:
+        """Parameters that are drawn, friction and gaps not below zero.
+
+        Args:
+            machine: The machine.
+            stream: Draws them.
+        """
+        found = stream.multivariate_normal(self.mean, self.covariance, method="eigh")
+        return np.maximum(found, machine.lower)
+
+    def to_dataset(self) -> "xarray.Dataset":
+        """All of it as an `xarray.Dataset`."""
+        import xarray
+
+        return xarray.Dataset(
+            {
+                "mean": ("parameter", self.mean),
+                "covariance": (("parameter", "other_parameter"), self.covariance),
+                "size": ("parameter", self.sizes),
+                "center": ("axis", self.center),
+                "desired": (("step", "axis"), self.desired),
+                "disturbance": (("step", "axis"), self.disturbance),
+                "uncertainty": (("step", "axis"), self.uncertainty),
+            },
+            coords={"parameter": list(self.names), "axis": list("xyz")},
+            attrs={"title": _TITLE},
+        )
+
+    @classmethod
+    def read(cls, file: str | os.PathLike[str]) -> "MachinePosterior":
+        """Posterior of a file that `to_dataset` filled.
+
+        Args:
+            file: The netCDF file.
+
+        Raises:
+            ValueError: It holds something else.
+            OSError: It cannot be read.
+        """
+        import xarray
+
+        with xarray.open_dataset(file, engine="h5netcdf") as dataset:
+            if dataset.attrs.get("title") != _TITLE:
+                raise ValueError("holds no machine that `learn` has written")
+            of = lambda name: np.asarray(dataset[name].values, np.float64)
+            names = tuple(str(name) for name in dataset["parameter"].values)
+            rows = (of(n) for n in ("desired", "disturbance", "uncertainty"))
+            return cls(
+                of("mean"), of("covariance"), of("size"), names, of("center"), *rows
+            )
+
+
+_TITLE = "machine as measured parts show it"
+
+
+def normal_variance(
+    covariance: Float[np.ndarray, "step 3 3"], desired: FloatRows3
+) -> Float[np.ndarray, " step"]:
+    """Variance of a tip across its path [m^2].
+
+    Args:
+        covariance: Of the tip [m^2], shape (step, 3, 3).
+        desired: The path [m], shape (step, 3).
+    """
+    way = np.gradient(np.asarray(desired, np.float64), axis=0)
+    size = np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-15)
+    along = np.einsum("ka,kab,kb->k", way / size, covariance, way / size)
+    return np.maximum(np.trace(covariance, axis1=1, axis2=2) - along, 0.0)
