@@ -28,7 +28,8 @@ TABLES = (
     *("", "cutter", "spindle", "cut", "record", "means", "fit", "force", "stock"),
     *("program", "robot", "load_tests", "ring_down", "frequency_response", "coupled"),
     *("air_path", "poses", "prior", "reversal", "joint_record", "machine"),
-    *("controller", "registration", "simulation", "correction", "output", "truth"),
+    *("controller", "registration", "learnt", "simulation", "correction", "output"),
+    *("truth", "part", "tracker", "points", "encoders", "forces"),
     *("sweep", "draw", "starts"),
 )
 

@@ -15,8 +15,9 @@ from slides_job import PROGRAM, write_slides_job
 
 from diffmill import load_job
 from diffmill.cli import main
-from diffmill.config import load_campaign, load_identification
+from diffmill.config import load_campaign, load_identification, load_learning
 from diffmill.examples import copy_example
+from diffmill.io import write_path_csv
 
 ROOT = pathlib.Path(__file__).parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
@@ -30,6 +31,7 @@ TABLES = {
     "slot1.txt": "t_s,Fx_N,Fy_N,Fz_N\n" + "".join(
         f"{k * 1e-4:.4f},{k % 7},{k % 5},{k % 3}\n" for k in range(400)
     ),
+    "tracker.csv": "time [s],x [mm],y [mm],z [mm]\n0.1,0,1,-0.8\n0.2,1,1,-0.8\n",
     "means.csv": "fz_mm,Fx_N,Fy_N,Fz_N\n0.05,10,20,1\n0.1,15,30,2\n0.15,20,40,3\n",
     "loads.csv": ",".join(
         [*(f"axis_{k}_deg" for k in range(1, 7)), "Fx_N,Fy_N,Fz_N,dx_mm,dy_mm,dz_mm\n"]
@@ -207,6 +209,13 @@ def test_toml_is_accepted(block, tmp_path):
         study = tmp_path / "study.toml"
         study.write_text(block.text if "kind" in tables else STUDY + block.text)
         load_identification(study)
+    elif "part" in tables:
+        job = job.rename(tmp_path / "part.toml")
+        (tmp_path / "part-correct").mkdir()
+        told = tmp_path / "part-correct" / "corrected.csv"
+        told.write_text(write_path_csv(load_job(job).path))
+        (tmp_path / "learn.toml").write_text(block.text)
+        load_learning(tmp_path / "learn.toml")
     elif isinstance(tables.get("job"), str):
         copy_example(tables["job"].removesuffix(".toml"), tmp_path)
         campaign = tmp_path / "campaign.toml"

@@ -66,12 +66,12 @@ def measure(report):
         for has_waves in (False, True):
             study = dataclasses.replace(plain, has_waves=has_waves)
             report.say(f"{name}, {'with' if has_waves else 'without'} gear waves")
-            held_out = study.run().held_out
-            report.say(f"  as stated, placed: {_text(held_out.before)}")
-            report.say(f"  link errors:       {_text(held_out.after)}")
-            report.say(f"  and a process:     {_text(held_out.with_process)}")
+            cross_validated = study.run().cross_validated
+            report.say(f"  as stated, placed: {_text(cross_validated.before)}")
+            report.say(f"  link errors:       {_text(cross_validated.after)}")
+            report.say(f"  and a process:     {_text(cross_validated.with_process)}")
             for case in ("after", "with_process"):
-                lengths = held_out.lengths(getattr(held_out, case))
+                lengths = cross_validated.lengths(getattr(cross_validated, case))
                 mean[sign, has_waves, case] = 1e3 * lengths.mean()
             report.say(f"  split 80 to 20:    {_text(_unseen(study))}")
     best = lambda has_waves, case: min(mean[sign, has_waves, case] for sign in (-1, 1))

@@ -30,7 +30,7 @@ def measure(report):
         result = _study(data, lowpass).run()
         report.say(f"below {lowpass:g} Hz, of record B as record A foretells it:")
         for number, fitted in enumerate(result.drives, 1):
-            one = fitted.held_out[1]
+            one = fitted.cross_validated[1]
             measured, drive, left = (1e6 * rms for rms in one.rms)
             report.say(
                 f"  axis {number}: link less motor {measured:.1f} urad rms, left by "

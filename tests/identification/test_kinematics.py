@@ -361,13 +361,17 @@ def test_a_real_robot_under_a_laser_tracker():
     position = 1e-3 * (rows[:, :3] - rows[:, 3:6])
     poses = KinematicStudy.Poses(np.deg2rad(rows[:, 6:]), position)
     result = study(poses, robot, has_process=True).run()
-    held_out = result.held_out
-    assert held_out.with_process is not None
+    cross_validated = result.cross_validated
+    assert cross_validated.with_process is not None
     before, after, more = (
-        held_out.lengths(one).mean()
-        for one in (held_out.before, held_out.after, held_out.with_process)
+        cross_validated.lengths(one).mean()
+        for one in (
+            cross_validated.before,
+            cross_validated.after,
+            cross_validated.with_process,
+        )
     )
     assert 0.6e-3 < before and after < 0.105e-3 and more < 0.09e-3
-    assert held_out.lengths(held_out.after).max() < 0.3e-3
-    with_waves = study(poses, robot, has_waves=True).run().held_out
+    assert cross_validated.lengths(cross_validated.after).max() < 0.3e-3
+    with_waves = study(poses, robot, has_waves=True).run().cross_validated
     assert with_waves.lengths(with_waves.after).mean() < 0.09e-3

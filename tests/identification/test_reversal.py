@@ -94,7 +94,7 @@ def test_a_load_to_one_side_shows_no_backlash():
     (fitted,) = study([record]).run().drives
     assert not fitted.drive.sees_both_flanks
     assert np.isnan(fitted.drive.backlash.value)
-    assert [one.name for one in fitted.held_out] == [
+    assert [one.name for one in fitted.cross_validated] == [
         "first half of joint.csv",
         "second half of joint.csv",
     ]
@@ -104,7 +104,7 @@ def test_a_load_to_one_side_shows_no_backlash():
 def test_an_error_of_the_position_repeats_between_records():
     fitted = drive_of(dataclasses.replace(Joint(), wave=40e-6), 3)
     assert fitted.repeating is not None and fitted.repeating_share > 0.7
-    for one in fitted.held_out:
+    for one in fitted.cross_validated:
         measured, drive, repeating = one.rms
         assert repeating < 0.6 * drive < drive < measured
     plain = drive_of(Joint(), 3)
@@ -206,7 +206,7 @@ def test_record_b_of_a_real_robot_is_foretold_by_record_a(tmp_path):
     read = load_identification(tmp_path / "kr300.toml")
     assert isinstance(read, ReversalStudy)
     result = read.run()
-    left = [1e6 * fitted.held_out[1].rms[2] for fitted in result.drives]
+    left = [1e6 * fitted.cross_validated[1].rms[2] for fitted in result.drives]
     # A spring, a sign of the velocity and an acceleration leave as much of the records
     # that they were fitted to.
     assert (np.array(left) < [51, 57, 42]).all()

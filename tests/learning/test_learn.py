@@ -85,7 +85,7 @@ def test_forces_are_means_over_tooth_periods(job):
     time = np.linspace(ends[3], ends[-2], 7 * (len(ends) - 5) + 1)[1:]
     each = force[np.searchsorted(ends, time - 1e-12)]
     seen = dl.MeasuredForces(each, 7.0, time, offset=2.0).seen(job, run)
-    predicted = seen.of(dl.Observables(np.nan, np.nan, force))
+    predicted = seen.of(dl.Observables(force, force, force))
     np.testing.assert_allclose(seen.value, predicted, atol=1e-9)
     np.testing.assert_allclose(np.median(seen.variance), 7.0)
     assert seen.nuisance.shape[1] == 3
@@ -110,7 +110,7 @@ def test_a_late_clock_is_not_learnt(job):
     )
     part = dl.Part(job.path.positions, tracked)
     learnt = dl.learn(job, [part], prior=PRIOR, corrects=False)
-    beyond = np.abs(learnt.job.path.disturbance)
+    beyond = np.abs(np.asarray(learnt.job.path.disturbance))
     feed = 0.05
     assert beyond.max() < 0.15 * late * feed
 

@@ -4,7 +4,7 @@ import contextlib
 import ctypes
 import dataclasses
 import pathlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -40,6 +40,7 @@ class FinishedRun(NamedTuple):
         surfaces: Surface errors of the solutions; None where they are not computed.
         chatter: Chatter of the uncorrected path, which the user knows; None if there
             is none.
+        draw: Writes further figures of the report to a folder; None without any.
     """
 
     job: "Job"
@@ -49,6 +50,7 @@ class FinishedRun(NamedTuple):
     program: "JobProgram | None" = None
     surfaces: "Mapping[str, SurfaceError] | None" = None
     chatter: "Stability | None" = None
+    draw: "Callable[[pathlib.Path], dict[str, Any]] | None" = None
 
 
 def add_analyses(folder: pathlib.Path, run: FinishedRun, progress: Progress) -> int:
@@ -304,6 +306,8 @@ def _write_pictures(
             _write_surface(folder / "surface.nc", inputs["surfaces"])
     with attempts.at("figures"):
         figures = write_figures(folder, run.dataset, **inputs)
+        if run.draw is not None:
+            figures |= run.draw(folder)
     dataset = _with_notes(run.dataset, [f"warning: {x}" for x in attempts.lines()])
     with attempts.at("report"):
         write_report(

@@ -55,6 +55,8 @@ def describe_file(
             study = load_identification(file, allow_outside=allow_outside)
             first = f"{file}: a file for `diffmill identify` without faults"
             return [first, *in_words(study).reading(study)]
+        if "part" in tables:
+            return _describe_learning(file, allow_outside=allow_outside)
         if isinstance(tables.get("job"), str):
             return _describe_campaign(file, allow_outside=allow_outside)
         return _describe_job(file, allow_outside=allow_outside)
@@ -92,6 +94,20 @@ def tables_of(file: pathlib.Path) -> dict[str, object]:
         return parse_toml(file.read_bytes())
     except (OSError, ValueError):
         return {}
+
+
+def _describe_learning(file: pathlib.Path, *, allow_outside: bool) -> list[str]:
+    from ..config import job_precision, load_learning
+
+    configure_jax(job_precision(file.parent / str(tables_of(file).get("job", ""))))
+    with Progress() as progress:
+        progress.begin("reading job and measurements")
+        measured = load_learning(file, allow_outside=allow_outside)
+    lines = [f"{file}: a file for `diffmill learn` without faults, {measured.job.name}"]
+    for name, part in zip(measured.part_names, measured.parts, strict=True):
+        what = ", ".join(type(one).__name__ for one in part.measurements)
+        lines.append(f"  {name}: {what}")
+    return [*lines, *(f"  note: {note}" for note in measured.notes)]
 
 
 def _describe_campaign(file: pathlib.Path, *, allow_outside: bool) -> list[str]:

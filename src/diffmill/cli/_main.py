@@ -271,6 +271,37 @@ def identify(
     )
 
 
+def learn(
+    file: Annotated[
+        tyro.conf.Positional[pathlib.Path],
+        tyro.conf.arg(
+            metavar="FILE.toml",
+            help="A file that names a job, the commands that were cut and what was "
+            "measured.",
+        ),
+    ],
+    *,
+    out: Annotated[
+        pathlib.Path | None,
+        tyro.conf.arg(help="Folder for the results; ./<file>-learn if not given."),
+    ] = None,
+    force: _Force = False,
+    shown: _Shown = _Display(),
+    allow_outside: _Outside = False,
+) -> int:
+    """Learn the machine from measured parts; write the program of the next one."""
+    _read(file)
+    from ._learn import run_learn
+
+    return run_learn(
+        file,
+        out,
+        force=force,
+        progress=shown.progress(),
+        allow_outside=allow_outside,
+    )
+
+
 def robot(
     model: Annotated[
         tyro.conf.Positional[str],
@@ -306,7 +337,7 @@ def robot(
     allow_outside: _Outside = False,
 ) -> int:
     """Print masses, stiffness, modes and sag of a robot; draw it and its stiffness."""
-    from ._robot import run_robot
+    from ._robot.robot import run_robot
 
     return run_robot(
         model,
@@ -460,6 +491,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         "feed": feed,
         "campaign": campaign,
         "identify": identify,
+        "learn": learn,
         "robot": robot,
         "example": example,
         "check": check,

@@ -114,7 +114,7 @@ def run_job(
         if is_correction and has_gcode and not job.path.is_upright:
             raise JobError(file, [NO_TILT])
     with locked_folder(folder) as unlocked:
-        run = _Run(is_correction, job, folder, may_replace, progress)
+        run = JobRun(is_correction, job, folder, may_replace, progress)
         if is_correction:
             with interruption_leaves(lambda: _earlier_files(results)), bad_input():
                 if job.output.moved_ends:
@@ -127,7 +127,7 @@ def run_job(
             return run.finish(band, importing)
 
 
-class _Run:
+class JobRun:
     """A run of a job whose folder is locked.
 
     Attributes:
@@ -149,7 +149,7 @@ class _Run:
         self._is_correction, self._job, self._progress = is_correction, job, progress
         self._folder, self._may_replace = folder, may_replace
         self._is_written = False
-        self._chatter: list[Stability] = []
+        self._chatter: Stability | None = None
 
     def interruption_text(self) -> str:
         """Sentence on the files that an interruption leaves."""
@@ -196,7 +196,7 @@ class _Run:
         give_back_memory()
         if self.checkpoint is not None:
             seconds += self.checkpoint.spent
-        run = self._write(outcome, band, seconds)
+        run = self.write(outcome, band, seconds)
         # The verdict follows the analyses that it includes.
         self._progress.answer(summary(run.dataset, "figures"))
         self._progress.say(
@@ -215,10 +215,9 @@ class _Run:
 
     def _tell_chatter(self, before: Outcome) -> None:
         """Print chatter of the uncorrected path, before it is corrected."""
-        if chatter := _chatter(self._job, before, self._progress):
-            self._chatter.append(chatter)
+        self._chatter = _chatter(self._job, before, self._progress)
 
-    def _write(
+    def write(
         self, outcome: Outcome, band: float | None, seconds: float
     ) -> FinishedRun:
         """Write what was computed."""
@@ -269,7 +268,7 @@ class _Run:
             # An interruption while files get their names is raised behind that.
             self._is_written = results.version not in (None, before)
         return FinishedRun(
-            job, solutions, final, dataset, self.program, surfaces, *self._chatter
+            job, solutions, final, dataset, self.program, surfaces, self._chatter
         )
 
 

@@ -14,16 +14,22 @@ if TYPE_CHECKING:
     from ._load_campaign import Campaign as Campaign, load_campaign as load_campaign
     from ._load_identification import load_identification as load_identification
     from ._load_job import job_precision as job_precision, load_job as load_job
+    from ._load_learning import (
+        MeasuredJob as MeasuredJob,
+        load_learning as load_learning,
+    )
 
 # Where each public name lives.
 _NAMES = {
     "Campaign": "._load_campaign",
     "JobProgram": "._job_program",
+    "MeasuredJob": "._load_learning",
     "check_tables": "._check.tables",
     "job_precision": "._load_job",
     "load_campaign": "._load_campaign",
     "load_identification": "._load_identification",
     "load_job": "._load_job",
+    "load_learning": "._load_learning",
     "tool_notes": "._check.rapids",
 }
 

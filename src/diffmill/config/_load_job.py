@@ -20,6 +20,7 @@ from ..sim import mismatched
 from ..toolpath import Path, Program, TimedProgram
 from ._build.context import FileContext
 from ._build.correction import completed_correction
+from ._build.learnt import read_learnt, with_learnt
 from ._build.machine import fastest_mode, read_machine
 from ._build.parts import JobParts
 from ._build.program import (
@@ -114,7 +115,12 @@ def load_job(
     simulation = completed_simulation(tables, parts, context)
     if context.problems or simulation is None:
         raise JobError(path, context.problems)
-    return _assemble(path.stem, text, tables, parts, simulation, context.notes)
+    job = _assemble(path.stem, text, tables, parts, simulation, context.notes)
+    if parts.learnt is not None:
+        job = with_learnt(job, parts.learnt, context)
+    if context.problems:
+        raise JobError(path, context.problems)
+    return job
 
 
 def job_precision(
@@ -204,6 +210,9 @@ def _read_parts(
     if tables.program is not None and parts.path is not None:
         tips = commanded_tips(tables.program, parts.path, context)
         parts = parts._replace(commanded=tips)
+    if tables.learnt is not None and tables.learnt.file is not None:
+        learnt = read_learnt(tables.learnt.file, "[learnt] file", context)
+        parts = parts._replace(learnt=learnt)
     if parts.path is not None and cutter is not None and stock is not None:
         check_rapids(parts.path, cutter, holder, stock, context)
     return parts

@@ -16,12 +16,12 @@ from ._gaussian_process import (
     PathProcess as PathProcess,
 )
 from ._learn import (
-    ExplainedError as ExplainedError,
     LearnedMachine as LearnedMachine,
     learn as learn,
 )
 from ._machine_posterior import MachinePosterior as MachinePosterior
 from ._measurement import (
+    AbstractMeasurement as AbstractMeasurement,
     LinkEncoders as LinkEncoders,
     MeasuredForces as MeasuredForces,
     Observables as Observables,

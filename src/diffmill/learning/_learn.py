@@ -7,13 +7,13 @@ from typing import NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from .._job import Job
 from .._types import FloatRows3
 from ..correction import Correction, correct
 from ..process import FrozenStock
-from ..sim import Solution, rigid_cut
+from ..sim import Run, Solution, rigid_cut
 from ._machine_posterior import MachinePosterior, normal_variance
 from ._measurement import Observables, Observed, Part, wall_times
 from ._parameters import AdaptableMachine, MachinePrior, Rows3
@@ -38,7 +38,7 @@ OnProgress = Callable[[str], None]
 
 
 class ExplainedError(NamedTuple):
-    """What a measurement shows beyond some predictions, along its directions, rms.
+    """Errors that a measurement shows beyond some predictions, rms.
 
     Attributes:
         part: Number of the part, from 1.
@@ -57,6 +57,30 @@ class ExplainedError(NamedTuple):
     noise: float
 
 
+class LearntValue(NamedTuple):
+    """A parameter as parts have shown it.
+
+    Attributes:
+        name: Its name.
+        value: Value; of stiffness, damping, forces and servos the logarithm of their
+            factor.
+        error: Standard error.
+        size: Standard deviation before.
+        unit: Unit of all three; "1" for a logarithm.
+    """
+
+    name: str
+    value: float
+    error: float
+    size: float
+    unit: str
+
+    @property
+    def open_share(self) -> float:
+        """Share of the variance before that is left."""
+        return (self.error / self.size) ** 2
+
+
 class LearnedMachine(eqx.Module):
     """Machine as parts that were cut show it.
 
@@ -71,8 +95,12 @@ class LearnedMachine(eqx.Module):
         columns: Slopes of the tip in the parameters about the last command [m], shape
             (step, 3, parameter).
         machine: The machine as a function of its parameters.
+        rigid: Rigid cut of the program.
+        part_errors: Contour error of the commands that cut the parts, on the machine as
+            it was learnt [m rms].
         correction: The next command, corrected from the best one so far; None if it
             was not asked for.
+        Value: A parameter, as `values` tells it.
     """
 
     job: Job
@@ -81,11 +109,15 @@ class LearnedMachine(eqx.Module):
     explained: tuple[ExplainedError, ...] = eqx.field(static=True)
     columns: Float[np.ndarray, "step 3 parameter"]
     machine: AdaptableMachine
+    rigid: Run
+    part_errors: tuple[float, ...] = eqx.field(static=True)
     correction: Correction | None = None
+
+    Value = LearntValue
 
     @property
     def is_known_better(self) -> bool:
-        """Whether the parts show what the model does not know."""
+        """True if the parts show what the model does not know."""
         return self.gain >= LEAST_GAIN
 
     @property
@@ -99,12 +131,23 @@ class LearnedMachine(eqx.Module):
             raise ValueError("No command was asked for: `corrects` was False.")
         return np.asarray(self.correction.commanded)
 
-    def causes(self, is_cutting: Bool[np.ndarray, " step"]) -> dict[str, float]:
-        """Error across the path by cause, where the tool cuts [m rms].
+    def values(self) -> tuple[LearntValue, ...]:
+        """Parameters that may be wrong, as parts have shown them."""
+        known, found = self.posterior, []
+        error = (known.sizes * np.sqrt(np.diagonal(known.covariance))).tolist()
+        for group in self.machine.groups:
+            units = self.machine.units(group.name)
+            for k, unit in zip(group.index, units, strict=True):
+                if known.sizes[k] > 0:
+                    size = float(known.sizes[k])
+                    value = size * float(known.mean[k])
+                    own = LearntValue(known.names[k], value, error[k], size, unit)
+                    found.append(own)
+        return tuple(found)
 
-        Args:
-            is_cutting: Where it does, shape (step,).
-        """
+    def causes(self) -> dict[str, float]:
+        """Error of the last command across the path by cause, where it cuts [m rms]."""
+        is_cutting = np.any(np.asarray(self.rigid.force) != 0, axis=1)
         desired, mean = self.posterior.desired, self.posterior.mean
         parts = {
             group.name: self.columns[:, :, group.index] @ mean[group.index]
@@ -194,7 +237,7 @@ def learn(
     if not corrects:
         return found
     tell("next command")
-    best = min(search.commands, key=lambda u: search.expected_error(found, u))
+    best = search.commands[int(np.argmin(found.part_errors))]
     # The corrected command holds for the machine as it is known now.
     settings = dataclasses.replace(found.job.correction, max_steps=max_steps)
     asked = dataclasses.replace(found.job, correction=settings)
@@ -244,7 +287,7 @@ class _Search:
         self._columns: Observables | None = None
 
     def predicted(self, x: np.ndarray, part: int) -> Observables:
-        """What is seen of the run of a part, with some parameters."""
+        """Observables of the run of a part, with some parameters."""
         key = x.tobytes(), part
         if key not in self._predicted:
             adapted, command = self.machine.job_at(x), self.commands[part]
@@ -261,7 +304,7 @@ class _Search:
         return self._predicted[key]
 
     def residuals(self, x: np.ndarray) -> list[np.ndarray]:
-        """What each measurement shows beyond the machine and its set-up [m or N]."""
+        """Residuals of each measurement beyond machine and set-up [m or N]."""
         found, first = [], 0
         for seen, part in zip(self.seen, self.part, strict=True):
             last = first + seen.nuisance.shape[1]
@@ -362,19 +405,22 @@ class _Search:
             uncertainty=deviation,
         )
         assert self._columns is not None
+        job = posterior.job_for(self.job)
         return LearnedMachine(
-            job=posterior.job_for(self.job),
+            job=job,
             posterior=posterior,
             gain=system.gain,
             explained=self._explained(residuals, mean),
             columns=self._columns.tip,
             machine=self.machine,
+            rigid=self.rigid,
+            part_errors=tuple(self._error(job, u) for u in self.commands),
         )
 
     def _explained(
         self, residuals: list[np.ndarray], disturbance: Rows3
     ) -> tuple[ExplainedError, ...]:
-        """What of each measurement is explained."""
+        """Errors that each measurement shows, and what is left of them."""
         rms = lambda values: float(np.sqrt(np.mean(values**2)))
         before = self.residuals(np.zeros(self.machine.count))
         none = np.zeros_like(disturbance)
@@ -406,9 +452,7 @@ class _Search:
             mean, variance = mean + np.asarray(m), variance + np.asarray(s) ** 2
         return mean, np.sqrt(variance)
 
-    def expected_error(self, found: LearnedMachine, command: FloatRows3) -> float:
-        """Contour error that a command is expected to leave, where it cuts [m rms]."""
-        run = Solution.of_command(
-            found.job, self.rigid, jnp.asarray(command), FrozenStock()
-        )
+    def _error(self, job: Job, command: FloatRows3) -> float:
+        """Contour error that a command leaves on a machine, where it cuts [m rms]."""
+        run = Solution.of_command(job, self.rigid, jnp.asarray(command), FrozenStock())
         return run.contour.rms

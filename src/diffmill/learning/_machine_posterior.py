@@ -63,7 +63,7 @@ class MachinePosterior(eqx.Module):
         return dataclasses.replace(machine, sizes=self.sizes, center=self.center)
 
     def is_of(self, job: Job) -> bool:
-        """Whether a job has the program along which the process holds."""
+        """True for a job with the program along which the process holds."""
         own = np.asarray(job.path.positions)
         return own.shape == self.desired.shape and bool(
             np.abs(own - self.desired).max() < _SAME_PLACE

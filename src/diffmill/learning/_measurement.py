@@ -24,7 +24,7 @@ _ROUNDING = 1e-9
 
 
 class Observables(NamedTuple):
-    """What can be seen of a run, at its rows.
+    """Quantities that can be seen of a run, at its rows.
 
     Attributes:
         tip: Deviation of the tip at the wall instants [m], shape (step, 3, ...).
@@ -394,7 +394,7 @@ class Part(eqx.Module):
 
     @property
     def measurements(self) -> tuple[AbstractMeasurement, ...]:
-        """What was measured, by instrument."""
+        """Measurements by instrument."""
         own = self.measured
         return own if isinstance(own, tuple) else (own,)
 

@@ -177,6 +177,22 @@ class AdaptableMachine(eqx.Module):
         """Group of a name."""
         return next(group for group in self.groups if group.name == name)
 
+    def units(self, name: str) -> tuple[str, ...]:
+        """Units of the parameters of a group; "1" for a logarithm.
+
+        Args:
+            name: Name of the group.
+        """
+        assert self.base.robot is not None
+        joints = self.base.robot.joint_units
+        if name == "friction":
+            return tuple({"rad": "N*m", "m": "N"}[unit] for unit in joints)
+        if name == "backlash":
+            return joints
+        if name == "field":
+            return ("m",) * 3 + ("rad",) * 9
+        return ("1",) * self.group(name).count
+
     @property
     def is_free(self) -> np.ndarray:
         """True for parameters whose prior is not zero, shape (parameter,)."""
@@ -294,7 +310,7 @@ class AdaptableMachine(eqx.Module):
 
 
 def _has_servos(job: Job) -> bool:
-    """Whether the motors of a job follow servos."""
+    """True if the motors of a job follow servos."""
     return job.controller is not None and job.controller.bandwidth is not None
 
 

@@ -39,6 +39,10 @@ from ._figure.identified_robot import (
     plot_pose_errors as plot_pose_errors,
     plot_ring_down as plot_ring_down,
 )
+from ._figure.learning import (
+    CAUSES as CAUSES,
+    write_learning_figures as write_learning_figures,
+)
 from ._figure.paths import plot_paths as plot_paths
 from ._figure.robot import plot_robot as plot_robot, plot_stiffness as plot_stiffness
 from ._figure.sensitivity import plot_sensitivity as plot_sensitivity

@@ -37,10 +37,10 @@ def report(study: KinematicStudy, result: KinematicStudy.Fit) -> Report:
         study: The measured poses.
         result: Their fit.
     """
-    fit, held_out = result.fit, result.held_out
+    fit, cross_validated = result.fit, result.cross_validated
     doubts = _doubts(result)
     parameters = fit.model.parameters
-    cases = _held_out(result)
+    cases = _cross_validated(result)
     facts = {
         "kind": study.kind,
         "parameters": [one.name for one in parameters],
@@ -54,7 +54,7 @@ def report(study: KinematicStudy, result: KinematicStudy.Fit) -> Report:
         "left_out_m": {
             name: {"mean": lengths.mean(), "largest": lengths.max()}
             for name, lengths in (
-                (name, held_out.lengths(one)) for name, one in cases.items()
+                (name, cross_validated.lengths(one)) for name, one in cases.items()
             )
         },
         "outlier_rows": _rows(study, fit.outliers),
@@ -76,13 +76,13 @@ def report(study: KinematicStudy, result: KinematicStudy.Fit) -> Report:
     figures = {
         "left_out": draw(
             plot_pose_errors,
-            {_CASES[name]: held_out.lengths(one) for name, one in cases.items()},
+            {_CASES[name]: cross_validated.lengths(one) for name, one in cases.items()},
             title="errors of poses that were left out",
         ),
         "prediction": draw(
             plot_prediction,
-            held_out.before[:, :3],
-            (held_out.before - held_out.after)[:, :3],
+            cross_validated.before[:, :3],
+            (cross_validated.before - cross_validated.after)[:, :3],
             unit="\u00b5m",
             scale=1e6,
             what="d",
@@ -99,7 +99,7 @@ def report(study: KinematicStudy, result: KinematicStudy.Fit) -> Report:
         )
     lines = [
         *_error_lines(study, result),
-        *_held_out_lines(study, result),
+        *_cross_validation_lines(study, result),
         *_open_lines(result),
         *_advice_lines(study, result),
         *all_noted(doubts, "warning"),
@@ -122,11 +122,11 @@ def _rows(study: KinematicStudy, places: Sequence[int]) -> list[int]:
     return [study.rows[i] if study.rows else i + 1 for i in places]
 
 
-def _held_out(
+def _cross_validated(
     result: KinematicStudy.Fit,
 ) -> dict[str, Float[np.ndarray, "pose component"]]:
     """Residuals of poses that were left out, by what predicts them."""
-    own = result.held_out
+    own = result.cross_validated
     cases = {"before": own.before, "after": own.after}
     return cases | (
         {} if own.with_process is None else {"with_process": own.with_process}
@@ -135,10 +135,10 @@ def _held_out(
 
 def _doubts(result: KinematicStudy.Fit) -> list[str]:
     """Sentences on why the errors should not be used."""
-    fit, held_out = result.fit, result.held_out
+    fit, cross_validated = result.fit, result.cross_validated
     doubts = []
-    before = float(np.median(held_out.lengths(held_out.before)))
-    after = float(np.median(held_out.lengths(held_out.after)))
+    before = float(np.median(cross_validated.lengths(cross_validated.before)))
+    after = float(np.median(cross_validated.lengths(cross_validated.after)))
     if before > _WRONG:
         doubts.append(
             f"The robot as stated is {1e3 * before:.3g} mm off: look at units, at the "
@@ -197,16 +197,18 @@ def _error_lines(study: KinematicStudy, result: KinematicStudy.Fit) -> list[str]
     return lines
 
 
-def _held_out_lines(study: KinematicStudy, result: KinematicStudy.Fit) -> list[str]:
+def _cross_validation_lines(
+    study: KinematicStudy, result: KinematicStudy.Fit
+) -> list[str]:
     """Errors of poses that were left out, and what is left of them."""
-    fit, held_out = result.fit, result.held_out
+    fit, cross_validated = result.fit, result.cross_validated
     lines = ["", f"poses left out, each {_nth(study.folds)} predicted by the others:"]
-    for name, one in _held_out(result).items():
-        lengths = 1e3 * held_out.lengths(one)
+    for name, one in _cross_validated(result).items():
+        lengths = 1e3 * cross_validated.lengths(one)
         mean, largest = lengths.mean(), lengths.max()
         text = f"  {_CASES[name]:32}{mean:8.4f} mm mean, {largest:.4f} largest"
         if study.poses.rotation is not None:
-            text += f", {1e3 * held_out.angles(one).mean():.4f} mrad mean"
+            text += f", {1e3 * cross_validated.angles(one).mean():.4f} mrad mean"
         lines.append(text)
     lines += noted(
         f"One coordinate scatters by {1e6 * fit.spread[0]:.3g} um about the fit, "
@@ -214,7 +216,7 @@ def _held_out_lines(study: KinematicStudy, result: KinematicStudy.Fit) -> list[s
         "what no link error explains is left of the robot's repeatability, its gears "
         "and its load."
     )
-    if held_out.with_process is not None:
+    if cross_validated.with_process is not None:
         lines += noted("The process is told, and not written: no job reads it.")
     return lines
 

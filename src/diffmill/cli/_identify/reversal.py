@@ -63,7 +63,7 @@ def report(study: ReversalStudy, result: ReversalStudy.Fit) -> Report:
         toml_drives += table
         facts[name] = _facts(fitted)
         figures[f"reversal_{name}"] = functools.partial(
-            plot_reversal, name, fitted.held_out
+            plot_reversal, name, fitted.cross_validated
         )
     lines += [
         "",
@@ -71,7 +71,7 @@ def report(study: ReversalStudy, result: ReversalStudy.Fit) -> Report:
         f"{'joint':12}{'measured':>10}{'drive':>10}{'repeats':>10}  record",
     ]
     for name, fitted in zip(names, result.drives, strict=True):
-        for one in fitted.held_out:
+        for one in fitted.cross_validated:
             parts = "".join(f"{1e6 * rms:10.3g}" for rms in one.rms)
             lines.append(f"{name:12}{parts}  {one.name}")
         lines.append(
@@ -233,6 +233,6 @@ def _facts(fitted: ReversalStudy.Drive) -> dict[str, object]:
         "presliding": drive.presliding,
         "presliding_interval": drive.presliding_interval,
         "independent_samples": drive.independent,
-        "left_out_rms": {one.name: one.rms for one in fitted.held_out},
+        "left_out_rms": {one.name: one.rms for one in fitted.cross_validated},
         "repeating_share": fitted.repeating_share,
     }

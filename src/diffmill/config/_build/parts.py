@@ -1,7 +1,7 @@
 """Parts of a job that is being read."""
 
 import math
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -11,6 +11,9 @@ from ...cutter import AbstractCutter, ToolHolder
 from ...robot import Controller, Robot, TipModes
 from ...toolpath import Path, Program, TimedProgram
 from .stock import StockPlan
+
+if TYPE_CHECKING:
+    from ...learning import MachinePosterior
 
 
 class JobParts(NamedTuple):
@@ -34,6 +37,7 @@ class JobParts(NamedTuple):
         commanded: Tips that the controller is told instead of the path's, if any.
         joints: Joints of the robot along the path [rad or m], if they are known.
         nominal: The robot as its controller knows it; None if that is `robot`.
+        learnt: What parts have shown of the machine, if the job names it.
     """
 
     program: Program | Path | None
@@ -52,6 +56,7 @@ class JobParts(NamedTuple):
     commanded: FloatRows3 | None = None
     joints: Float[np.ndarray, "step joint"] | None = None
     nominal: Robot | None = None
+    learnt: "MachinePosterior | None" = None
 
     @property
     def tooth_period(self) -> float:

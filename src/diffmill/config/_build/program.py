@@ -144,7 +144,29 @@ def commanded_tips(
     key = "[program] commanded"
     if table.commanded is None:
         return None
-    file = context.file(table.commanded, key, largest=_LARGEST_FILE)
+    told = read_command(table.commanded, key, path, context)
+    if told is not None:
+        context.notes.append(
+            f"{key}: the controller is told {table.commanded}; errors are those from "
+            "the program"
+        )
+    return told
+
+
+def read_command(
+    name: str, key: str, path: Path, context: FileContext
+) -> FloatRows3 | None:
+    """Tips of a recorded path that tells the controller what to do [m], (step, 3).
+
+    None with a problem noted if its rows are not those of the program.
+
+    Args:
+        name: Its file.
+        key: Where it is named.
+        path: Path of the program.
+        context: Receives what is wrong.
+    """
+    file = context.file(name, key, largest=_LARGEST_FILE)
     if file is None:
         return None
     try:
@@ -160,10 +182,6 @@ def commanded_tips(
             "instant"
         )
         return None
-    context.notes.append(
-        f"{key}: the controller is told {table.commanded}; errors are those from the "
-        "program"
-    )
     return np.asarray(told.positions)
 
 

@@ -210,6 +210,16 @@ class RegistrationTable(TomlTable):
     )
 
 
+class LearntTable(TomlTable):
+    """`[learnt]`."""
+
+    file: StrictStr | None = Field(
+        default=None,
+        description="learnt.nc that `diffmill learn` has written of a part on this "
+        "machine; the machine is as modelled if left out",
+    )
+
+
 class RobotTable(TomlTable):
     """`[robot]`."""
 
@@ -289,7 +299,8 @@ class RobotTable(TomlTable):
 
 OPTIONAL_TABLES = frozenset(
     {
-        *("spindle", "controller", "registration", "simulation", "correction"),
+        *("spindle", "controller", "registration", "learnt", "simulation"),
+        "correction",
         *("output", "truth"),
     }
 )
@@ -328,6 +339,7 @@ class JobTables:
     machine: MachineTable | None
     controller: ControllerTable | None
     registration: RegistrationTable | None
+    learnt: LearntTable | None
     simulation: SimulationSettings | None
     correction: CorrectionSettings | None
     output: OutputSettings | None
@@ -391,6 +403,7 @@ def read_tables(raw: Mapping[str, object], problems: list[str]) -> JobTables:
         machine=table("machine", MachineTable),
         controller=read("controller", read_controller),
         registration=table("registration", RegistrationTable),
+        learnt=table("learnt", LearntTable),
         simulation=settings(SimulationSettings),
         correction=settings(CorrectionSettings),
         output=settings(OutputSettings),

@@ -11,7 +11,7 @@ from .residual_process import ResidualProcess, joint_features
 
 
 @dataclasses.dataclass(frozen=True)
-class HeldOutPoses:
+class CrossValidatedPoses:
     """Poses predicted by the others, once each.
 
     Attributes:
@@ -52,7 +52,7 @@ def leave_poses_out(
     folds: int = 5,
     has_process: bool = False,
     seed: int = 0,
-) -> HeldOutPoses:
+) -> CrossValidatedPoses:
     """Predict poses by fits to the others.
 
     The poses are dealt to the folds at random.
@@ -88,4 +88,4 @@ def leave_poses_out(
         if with_process is not None:
             process = ResidualProcess.fit(features[used], others.residual[used])
             with_process[out] = after[out] - process.predict(features[out])
-    return HeldOutPoses(before, after, with_process, is_counted)
+    return CrossValidatedPoses(before, after, with_process, is_counted)

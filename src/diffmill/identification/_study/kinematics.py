@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from ...robot import Robot
 from .._kinematics.ambiguity import Ambiguities, ambiguities, independent_parameters
-from .._kinematics.cross_validation import HeldOutPoses, leave_poses_out
+from .._kinematics.cross_validation import CrossValidatedPoses, leave_poses_out
 from .._kinematics.fit_kinematics import InstrumentNoise, KinematicFit, fit_kinematics
 from .._kinematics.model import (
     KinematicModel,
@@ -30,13 +30,13 @@ class KinematicStudyFit:
 
     Attributes:
         fit: The errors.
-        held_out: Each pose predicted by the others, before and after.
+        cross_validated: Each pose predicted by the others, before and after.
         ambiguities: What the poses do not tell.
         advice: Poses that would help most.
     """
 
     fit: KinematicFit
-    held_out: HeldOutPoses
+    cross_validated: CrossValidatedPoses
     ambiguities: Ambiguities
     advice: PoseDesign
 
@@ -44,8 +44,8 @@ class KinematicStudyFit:
     def is_better(self) -> bool:
         """True if the errors predict poses that were left out better than none do."""
         before, after = (
-            np.median(self.held_out.lengths(residual))
-            for residual in (self.held_out.before, self.held_out.after)
+            np.median(self.cross_validated.lengths(residual))
+            for residual in (self.cross_validated.before, self.cross_validated.after)
         )
         return bool(after < before)
 
@@ -153,9 +153,11 @@ class KinematicStudy:
         on_progress("link errors")
         fit, poses = self.fit(), self.loaded_poses()
         on_progress("poses that are left out")
-        held_out = leave_poses_out(
+        cross_validated = leave_poses_out(
             fit, poses, self.noise, folds=self.folds, has_process=self.has_process
         )
         on_progress("what the poses do not tell")
         unknown = ambiguities(fit, poses)
-        return KinematicStudyFit(fit, held_out, unknown, suggest_poses(fit, poses))
+        return KinematicStudyFit(
+            fit, cross_validated, unknown, suggest_poses(fit, poses)
+        )

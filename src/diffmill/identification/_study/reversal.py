@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 
 from ...robot import Robot
-from .._reversal.held_out import HeldOutRecord, choose_repeating
+from .._reversal.cross_validated import CrossValidatedRecord, choose_repeating
 from .._reversal.joint_motion import JointMotion, JointRecord
 from .._reversal.joint_reversal import JointReversal
 from .._reversal.repeating_error import RepeatingError
@@ -23,19 +23,19 @@ class FittedDrive:
         joint: Index of the joint.
         drive: The fit to all records.
         repeating: Prior of the error that repeats; None if nothing does.
-        held_out: Every record, or half of the only one, predicted by the others.
+        cross_validated: Every record, or half of the only one, predicted by the others.
     """
 
     joint: int
     drive: JointReversal
     repeating: RepeatingError | None
-    held_out: tuple[HeldOutRecord, ...]
+    cross_validated: tuple[CrossValidatedRecord, ...]
 
     @property
     def repeating_share(self) -> float:
         """Share that repeats of the square of what the drive leaves, left out."""
-        left = sum(one.rms[1] ** 2 for one in self.held_out)
-        return 1.0 - sum(one.rms[2] ** 2 for one in self.held_out) / left
+        left = sum(one.rms[1] ** 2 for one in self.cross_validated)
+        return 1.0 - sum(one.rms[2] ** 2 for one in self.cross_validated) / left
 
 
 @dataclasses.dataclass(frozen=True)
@@ -110,10 +110,10 @@ class ReversalStudy:
                 continue
             on_progress(f"{name}: records left out")
             parts = motions if len(motions) > 1 else _halves(motions[0])
-            repeating, held_out = choose_repeating(parts)
+            repeating, cross_validated = choose_repeating(parts)
             on_progress(f"{name}: all records")
             drive = JointReversal.of(motions, repeating)
-            drives.append(FittedDrive(joint, drive, repeating, held_out))
+            drives.append(FittedDrive(joint, drive, repeating, cross_validated))
         if not drives:
             raise StudyError(
                 " ".join(

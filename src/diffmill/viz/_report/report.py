@@ -15,7 +15,8 @@ It reads of a result, besides the variables of `simulate` and `correct`:
   `stability_largest_radius`, `stability_frequency` [Hz]; `mismatch_rms_stiffness` and
   `mismatch_rms_force` [m], the error of the command where these are off by
   `mismatch_share`; `truth_rms_median`, `truth_rms_largest` and `truth_rms_uncorrected`
-  [m] on `truth_draws` machines;
+  [m] on `truth_draws` machines; `learnt_expected_rms` [m], with what parts have left
+  unknown of the machine;
 - every other attribute is listed as a setting.
 """
 
@@ -81,7 +82,10 @@ _SPECIAL = (
 )
 _PREFIXES = tuple(
     f"{kind}_"
-    for kind in ("written", "moved", "stream", "stability", "mismatch", "truth")
+    for kind in (
+        *("written", "moved", "stream", "stability", "mismatch", "truth"),
+        "learnt",
+    )
 )
 
 

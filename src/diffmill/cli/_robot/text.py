@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from ._robot_facts import JointFacts, ModeFacts, RobotFacts, StaticFacts
+from .facts import JointFacts, ModeFacts, RobotFacts, StaticFacts
 
 
 def robot_lines(facts: RobotFacts) -> list[str]:

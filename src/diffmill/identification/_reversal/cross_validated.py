@@ -19,7 +19,7 @@ _SIZES = (0.5, 1.5, 5.0)
 
 
 @dataclasses.dataclass(frozen=True)
-class HeldOutRecord:
+class CrossValidatedRecord:
     """A record of a joint as the others predict it, its own offset aside.
 
     Attributes:
@@ -45,7 +45,7 @@ class HeldOutRecord:
 
 def choose_repeating(
     motions: Sequence[JointMotion],
-) -> tuple[RepeatingError | None, tuple[HeldOutRecord, ...]]:
+) -> tuple[RepeatingError | None, tuple[CrossValidatedRecord, ...]]:
     """Error that repeats with the least error of records that are left out.
 
     Args:
@@ -64,7 +64,7 @@ def choose_repeating(
         measured = one.deflection(drive.delay.value)
         own = _predicted(others, one, drive, None)
         plain.append(
-            HeldOutRecord(
+            CrossValidatedRecord(
                 one.record.name, one.angle, measured - measured.mean(), own, own
             )
         )

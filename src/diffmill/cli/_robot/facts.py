@@ -7,7 +7,7 @@ import numpy as np
 if TYPE_CHECKING:
     from jaxtyping import Complex, Float
 
-    from ..robot import Robot
+    from ...robot import Robot
 
     # jaxtyping checks what it can see; at run time nothing of the kind is imported.
     JointPositions = Float[np.ndarray, " joint"]
@@ -82,7 +82,7 @@ def robot_facts(robot: "Robot", q: "JointPositions") -> RobotFacts:
         robot: The robot.
         q: Joint positions [rad or m], shape (joint,).
     """
-    from ..robot import forward_kinematics
+    from ...robot import forward_kinematics
 
     T = np.asarray(forward_kinematics(robot, q))
     K = np.asarray(robot.joint_stiffness)
@@ -171,7 +171,7 @@ def _finite(value: float) -> float | None:
 
 def _statics(robot: "Robot", q: "JointPositions") -> StaticFacts:
     """Stiffness, deflection and sag of the tool's tip."""
-    from ..robot import cartesian_compliance, gravity_sag, static_deflection
+    from ...robot import cartesian_compliance, gravity_sag, static_deflection
 
     C = np.asarray(cartesian_compliance(robot, q))[:3, :3]
     softness, directions = np.linalg.eigh(C)
@@ -203,7 +203,7 @@ def _statics(robot: "Robot", q: "JointPositions") -> StaticFacts:
 
 def _modes(robot: "Robot", q: "JointPositions") -> list[ModeFacts]:
     """Frequency, damping and shape of every mode that rings."""
-    from ..robot import damped_modes
+    from ...robot import damped_modes
 
     modes = damped_modes(robot, q)
     return [

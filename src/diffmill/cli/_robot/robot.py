@@ -8,18 +8,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .._jax_config import configure_jax
-from .._messages import printable
-from .._results_folder import ResultsFolder
-from .._toml import parse_toml
-from ._check import tables_of
-from ._robot_facts import JointPositions, RobotFacts, robot_facts
-from ._robot_text import robot_lines
-from ._session.errors import bad_input, locked_folder
-from ._session.progress import Progress
+from ..._jax_config import configure_jax
+from ..._messages import printable
+from ..._results_folder import ResultsFolder
+from ..._toml import parse_toml
+from .._check import tables_of
+from .._session.errors import bad_input, locked_folder
+from .._session.progress import Progress
+from .facts import JointPositions, RobotFacts, robot_facts
+from .text import robot_lines
 
 if TYPE_CHECKING:
-    from ..robot import Robot
+    from ...robot import Robot
 
 
 def run_robot(
@@ -52,8 +52,8 @@ def run_robot(
         ResultsFolder.of(folder).check(force=force)
     # Imports that take seconds wait until they are needed.
     configure_jax()
-    from ..io import parse_pose
-    from ..robot import built_in_models, load, spindle_note
+    from ...io import parse_pose
+    from ...robot import built_in_models, load, spindle_note
 
     with bad_input(), warnings.catch_warnings(record=True) as load_warnings:
         warnings.simplefilter("always")
@@ -103,8 +103,8 @@ def _robot_of_job(
     """
     import jax.numpy as jnp
 
-    from ..config import load_job
-    from ..sim import JobKinematics
+    from ...config import load_job
+    from ...sim import JobKinematics
 
     job = load_job(file, allow_outside=allow_outside)
     if job.robot is None:
@@ -120,8 +120,8 @@ def _write_results(
     folder: pathlib.Path, robot: "Robot", q: "JointPositions", facts: RobotFacts
 ) -> None:
     """Write the table and the figures to a folder."""
-    from ..robot import Skeleton, StiffnessMap
-    from ..viz import plot_robot, plot_stiffness, save_figure
+    from ...robot import Skeleton, StiffnessMap
+    from ...viz import plot_robot, plot_stiffness, save_figure
 
     text = json.dumps(facts, indent=2, allow_nan=False)
     (folder / "robot.json").write_text(text + "\n", encoding="utf-8")

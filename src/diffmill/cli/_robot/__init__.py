@@ -1,0 +1,1 @@
+"""Report of a robot: masses, stiffness, modes, sag, figures."""

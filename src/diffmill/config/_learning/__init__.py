@@ -1,0 +1,1 @@
+"""Tables of a file for `diffmill learn`."""
