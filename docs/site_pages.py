@@ -30,6 +30,7 @@ TABLES = (
     *("air_path", "poses", "prior", "reversal", "joint_record", "machine"),
     *("controller", "registration", "learnt", "simulation", "correction", "output"),
     *("truth", "part", "tracker", "points", "encoders", "forces"),
+    *("trial", "advice"),
     *("sweep", "draw", "starts"),
 )
 

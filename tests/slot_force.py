@@ -17,6 +17,14 @@ def slot_force(time, feed, runout=0.0):
     return cut.force(time)
 
 
+def mean_of_slots(feeds, depth):
+    """Return mean forces of two straight teeth on trochoids in slots."""
+    turn, count = 2 * math.pi / SPEED, 20_000
+    time = turn * (np.arange(count) + 0.5) / count
+    cuts = (TrochoidCut(K, f, depth, SPEED, R, slices=1) for f in feeds)
+    return np.stack([cut.force(time).mean(axis=0) for cut in cuts])
+
+
 def mean_lines(feeds, coefficients, entry=0.0, leave=math.pi):
     """Return mean forces of two teeth 3 mm deep by a sum over the immersion angle."""
     count = 4000

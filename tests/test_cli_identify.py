@@ -14,7 +14,7 @@ import xarray
 from joint_motions import Joint, save_joint
 from scipy.spatial.transform import Rotation
 from slides_job import JOB, with_machine, write_slides_job
-from slot_force import SPEED, K, mean_lines, slot_force
+from slot_force import SPEED, K, mean_of_slots, slot_force
 from vibrations import receptance, ring_down
 
 from diffmill import config, cutter as ct, identification, load_job, robot as rb, viz
@@ -128,7 +128,7 @@ def drawn(out):
 
 def write_means(folder):
     feeds = np.array([0.05e-3, 0.1e-3, 0.15e-3, 0.2e-3])
-    force = mean_lines(feeds, K)
+    force = mean_of_slots(feeds, 3e-3)
     force = force + 0.3 * np.random.default_rng(0).normal(size=force.shape)
     # The dynamometer is turned: its x is y of the feed.
     save(folder / "means.csv", "fz_mm,Fx_N,Fy_N,Fz_N", 1e3 * feeds, force[:, [1, 0, 2]])

@@ -4,6 +4,7 @@ import ast
 import pathlib
 import re
 import runpy
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -211,6 +212,7 @@ def test_toml_is_accepted(block, tmp_path):
         load_identification(study)
     elif "part" in tables:
         job = job.rename(tmp_path / "part.toml")
+        shutil.copy(job, tmp_path / "other.toml")
         (tmp_path / "part-correct").mkdir()
         told = tmp_path / "part-correct" / "corrected.csv"
         told.write_text(write_path_csv(load_job(job).path))

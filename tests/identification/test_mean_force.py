@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from helpers import PAPER_LAW
 from references import circles
+from references.trochoid import TrochoidCut
 from slot_force import mean_lines
 
 from diffmill.cutting import LinearEdgeLaw
@@ -92,3 +93,41 @@ def test_known_is_what_errs_little_beside_the_force():
     assert not any(loud.identifiable.values())
     two = fit_mean_forces(FEEDS[:2], force[:2], **size)
     assert not any(two.identifiable.values())
+
+
+@pytest.mark.parametrize(
+    ("side", "width", "entry", "leave"),
+    [
+        ("slot", math.nan, 0.0, math.pi),
+        ("up", 3e-3, 0.0, math.acos(1 - 3 / 5)),
+        ("down", 3e-3, math.pi - math.acos(1 - 3 / 5), math.pi),
+    ],
+)
+def test_teeth_on_trochoids_bend_the_line(side, width, entry, leave):
+    """Means of exact trochoids: with the radius most of the error of circles goes."""
+    K = np.array(list(PAPER.values()))
+    speed, count = 600.0, 20_000
+    time = 2 * math.pi / speed * (np.arange(count) + 0.5) / count
+    size = {"side": side, "radial_depth": width, "slices": 1}
+    mean = [
+        TrochoidCut(K, f, 2e-3, speed, 5e-3, 2, **size).force(time).mean(axis=0)
+        for f in FEEDS
+    ]
+    shape = {"entry_angle": entry, "exit_angle": leave}
+    fits = [
+        fit_mean_forces(
+            FEEDS, np.array(mean), teeth=2, axial_depth=2e-3, **shape, radius=radius
+        )
+        for radius in (None, 5e-3)
+    ]
+    wanted = np.array([PAPER[name] for name in ("K_tc", "K_rc", "K_ac")])
+    off = [
+        np.array([fit.coefficients[n] for n in ("K_tc", "K_rc", "K_ac")]) / wanted - 1
+        for fit in fits
+    ]
+    assert np.abs(off[0]).max() > 0.008 and np.abs(off[1]).max() < 0.003
+    residual = [np.abs(fit.residual).max() for fit in fits]
+    assert residual[1] < 0.3 * residual[0]
+    np.testing.assert_allclose(
+        fits[1].predicted(FEEDS) + fits[1].residual, mean, rtol=1e-12
+    )

@@ -40,6 +40,7 @@ def run_learn(
     file: pathlib.Path,
     out: pathlib.Path | None,
     *,
+    advises: bool,
     force: bool,
     progress: Progress,
     allow_outside: bool,
@@ -48,7 +49,8 @@ def run_learn(
 
     Args:
         file: The file that names job and measurements.
-        out: Folder for the results, or None for `./<file>-learn`.
+        out: Folder for the results, or None for `./<file>-learn` or -advise.
+        advises: True to rank measurements instead of writing the next program.
         force: True to replace results that are there.
         progress: Display of the progress.
         allow_outside: True if the file may name files outside its folder.
@@ -56,7 +58,8 @@ def run_learn(
     Returns:
         The exit code.
     """
-    folder = pathlib.Path(f"{file.stem}-learn") if out is None else out
+    kind = "advise" if advises else "learn"
+    folder = pathlib.Path(f"{file.stem}-{kind}") if out is None else out
     with bad_input():
         ResultsFolder.of(folder).check(force=force)
         job_file = file.parent / str(read_toml(file).tables.get("job", ""))
@@ -67,13 +70,20 @@ def run_learn(
         uncached = configure_jax(job_precision(job_file))
         with progress:
             progress.begin("reading job and measurements")
-            measured = load_learning(file, allow_outside=allow_outside)
+            measured = load_learning(
+                file, allow_outside=allow_outside, needs_parts=not advises
+            )
+        if advises:
+            measured = measured._replace(steps=0)
         if measured.steps and measured.job.output.moved_ends:
             program = JobProgram.of_job(job_file, allow_outside=allow_outside)
     with locked_folder(folder) as unlocked:
         notes = (*measured.job.notes, *measured.notes, uncached, unlocked)
         for note in filter(None, notes):
             progress.say(f"note: {note}")
+        if advises:
+            with interruption_leaves(lambda: "no results were written"):
+                return _advise(measured, folder, progress, force=force)
         with interruption_leaves(lambda: "no results were written"):
             start = time.perf_counter()
             found = _learnt(measured, progress)
@@ -104,7 +114,7 @@ def run_learn(
                 ),
                 draw=lambda target: _figures(target, found),
             )
-            code = max(add_analyses(folder, finished, progress), 0)
+            code = add_analyses(folder, finished, progress)
             progress.say(f"results: {folder}")
             return code or attempts.conclude(folder)
 
@@ -129,6 +139,49 @@ def _learnt(measured: "MeasuredJob", progress: Progress) -> "LearnedMachine | No
         message = f"error: a part could not be simulated: {failure}"
         print(printable(message), file=sys.stderr)
         return None
+
+
+def _advise(
+    measured: "MeasuredJob",
+    folder: pathlib.Path,
+    progress: Progress,
+    *,
+    force: bool,
+) -> int:
+    """Rank measurements, write the ranking; return the exit code."""
+    from .._result import SimulationFailed
+    from ..learning import MachinePosterior, MachinePrior, advise
+
+    job, known, lines = measured.job.with_precision(), measured.prior, []
+    if isinstance(known, MachinePrior):
+        known = MachinePosterior.of_prior(job, known)
+    if measured.parts:
+        found = _learnt(measured, progress)
+        if found is None:
+            return 1
+        known, lines = found.posterior, [*_lines(measured, found), ""]
+    try:
+        with progress:
+            progress.update("the part")
+            ranked = advise(job, known, measured.trials, on_progress=progress.update)
+    except SimulationFailed as failure:
+        print(printable(f"error: a trial cannot be run: {failure}"), file=sys.stderr)
+        return 1
+    lines.append("error across the path, rms, by parameters that stay unknown:")
+    lines += [
+        f"  {one.name or 'without another measurement':42}{1e6 * one.spread:8.2f} um"
+        for one in ranked
+    ]
+    for line in lines:
+        progress.answer(line)
+    text = "\n".join(lines) + "\n"
+
+    def fill(target: pathlib.Path) -> None:
+        (target / "summary.txt").write_text(text, encoding="utf-8")
+
+    ResultsFolder.of(folder).write(fill, force=force)
+    progress.say(f"results: {folder}")
+    return 0
 
 
 def _lines(measured: "MeasuredJob", found: "LearnedMachine") -> list[str]:

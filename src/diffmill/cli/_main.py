@@ -281,6 +281,13 @@ def learn(
         ),
     ],
     *,
+    advise: Annotated[
+        bool,
+        tyro.conf.arg(
+            help="Rank measurements by what they would leave unknown of the part, "
+            "instead of the program of the next one."
+        ),
+    ] = False,
     out: Annotated[
         pathlib.Path | None,
         tyro.conf.arg(help="Folder for the results; ./<file>-learn if not given."),
@@ -296,6 +303,7 @@ def learn(
     return run_learn(
         file,
         out,
+        advises=advise,
         force=force,
         progress=shown.progress(),
         allow_outside=allow_outside,

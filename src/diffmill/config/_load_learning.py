@@ -14,13 +14,16 @@ from .._types import FloatRows3
 from ..io import Quantity, TableReader
 from ..learning import (
     AbstractMeasurement,
+    AbstractTrial,
     LinkEncoders,
     MachinePosterior,
     MachinePrior,
     MeasuredForces,
     Part,
+    TrackedRun,
     TrackedTips,
     WallPoints,
+    usual_trials,
 )
 from ..settings.tables import validated
 from ._build.learnt import read_learnt
@@ -55,6 +58,7 @@ class MeasuredJob(NamedTuple):
         part_names: Their names.
         prior: How far the machine may be off, or what another program has shown of it.
         steps: Steps of the next correction at most; 0 for none.
+        trials: Measurements that could be made, by name.
         notes: What the user should know.
     """
 
@@ -65,17 +69,22 @@ class MeasuredJob(NamedTuple):
     part_names: tuple[str, ...]
     prior: MachinePrior | MachinePosterior
     steps: int
+    trials: dict[str, AbstractTrial]
     notes: tuple[str, ...]
 
 
 def load_learning(
-    file: str | os.PathLike[str], *, allow_outside: bool = False
+    file: str | os.PathLike[str],
+    *,
+    allow_outside: bool = False,
+    needs_parts: bool = True,
 ) -> MeasuredJob:
     """Job and measured parts that a TOML file names.
 
     Args:
         file: The file, for `diffmill learn`.
         allow_outside: Whether it may name files outside its own folder.
+        needs_parts: Whether a part must have been measured.
 
     Returns:
         The job and its parts in SI units; see `dm.learn`.
@@ -101,6 +110,8 @@ def load_learning(
             f"job: found [learnt] in {table.job}, but the machine as modelled is "
             "required: name that file as learnt in [prior] instead"
         )
+    if needs_parts and not table.part:
+        problems.append("[[part]]: found none, but a measured part is required")
     if problems:
         raise JobError(path, problems)
     prior = _prior(table.prior, context, notes)
@@ -109,6 +120,12 @@ def load_learning(
         _part(one, name, job, context, notes)
         for one, name in zip(table.part, names, strict=True)
     ]
+    tracker, gauge = table.advice.tracker, table.advice.gauge
+    trials = usual_trials(job, tracker=tracker, gauge=gauge)
+    for one in table.trial:
+        other = context.job(one.job, "[[trial]] job")
+        if other is not None:
+            trials[one.name or one.job] = TrackedRun(other, tracker)
     if problems:
         raise JobError(path, problems)
     assert prior is not None
@@ -120,6 +137,7 @@ def load_learning(
         tuple(names),
         prior,
         table.steps,
+        trials,
         tuple(notes),
     )
 

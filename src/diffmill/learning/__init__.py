@@ -11,6 +11,14 @@ the run. The sizes of their groups and of g are those of the largest marginal
 likelihood.
 """
 
+from ._advice import (
+    AbstractTrial as AbstractTrial,
+    Advice as Advice,
+    LoadTest as LoadTest,
+    TrackedRun as TrackedRun,
+    advise as advise,
+    usual_trials as usual_trials,
+)
 from ._gaussian_process import (
     Observations as Observations,
     PathProcess as PathProcess,

@@ -42,6 +42,27 @@ class MachinePosterior(eqx.Module):
     disturbance: Rows3
     uncertainty: Rows3
 
+    @classmethod
+    def of_prior(cls, job: Job, prior: MachinePrior) -> "MachinePosterior":
+        """What is known before any part: the model, and how far it may be off.
+
+        Args:
+            job: The job, in its precision.
+            prior: Sizes of what may be wrong.
+        """
+        machine = AdaptableMachine.of_job(job, prior)
+        desired = np.asarray(job.path.positions, np.float64)
+        return cls(
+            mean=np.zeros(machine.count),
+            covariance=np.diag(machine.is_free.astype(float)),
+            sizes=machine.sizes,
+            names=machine.names,
+            center=machine.center,
+            desired=desired,
+            disturbance=np.zeros_like(desired),
+            uncertainty=np.zeros_like(desired),
+        )
+
     def machine_for(self, job: Job) -> AdaptableMachine:
         """Machine of a job, as a function of these parameters.
 
@@ -96,17 +117,25 @@ class MachinePosterior(eqx.Module):
         )
         return dataclasses.replace(adapted, path=path)
 
-    def draw(
-        self, machine: AdaptableMachine, stream: np.random.Generator
-    ) -> Float[np.ndarray, " parameter"]:
-        """Parameters that are drawn, friction and gaps not below zero.
+    def drawn_jobs(self, job: Job, count: int, *, seed: int = 0) -> tuple[Job, ...]:
+        """Jobs on machines as they may be, after what parts have shown.
+
+        Friction and gaps are not drawn below zero; what no parameter explains has its
+        mean. `correct(job, machines=...)` is robust against them.
 
         Args:
-            machine: The machine.
-            stream: Draws them.
+            job: The job, in its precision; of any program.
+            count: How many are drawn.
+            seed: Seed of the draws.
+
+        Raises:
+            ValueError: The job's machine has other parameters.
         """
-        found = stream.multivariate_normal(self.mean, self.covariance, method="eigh")
-        return np.maximum(found, machine.lower)
+        stream, lower = np.random.default_rng(seed), self.machine_for(job).lower
+        draw = lambda: stream.multivariate_normal(
+            self.mean, self.covariance, method="eigh"
+        )
+        return tuple(self.job_for(job, np.maximum(draw(), lower)) for _ in range(count))
 
     def to_dataset(self) -> "xarray.Dataset":
         """All of it as an `xarray.Dataset`."""

@@ -164,6 +164,29 @@ class MachinePriorTable(TomlTable):
     )
 
 
+class TrialTable(TomlTable):
+    """An entry of `[[trial]]`: a measurement that could be made, for `--advise`."""
+
+    job: File = Field(
+        description="a job on the same machine that would be run under a tracker, such "
+        'as "air.toml"'
+    )
+    name: StrictStr | None = Field(
+        default=None, description='what it is called, such as "air path"; its job'
+    )
+
+
+class AdviceTable(TomlTable):
+    """`[advice]`: instruments of measurements that could be made."""
+
+    tracker: PositiveLength = Field(
+        default=15e-6, description="standard deviation of a coordinate of a tracker"
+    )
+    gauge: PositiveLength = Field(
+        default=5e-6, description="standard deviation of a gauge at the tip"
+    )
+
+
 class LearningTable(TomlTable):
     """Keys of a file for `diffmill learn` that stand before all tables."""
 
@@ -175,5 +198,14 @@ class LearningTable(TomlTable):
         default_factory=MachinePriorTable, description="how far the machine may be off"
     )
     part: list[PartTable] = Field(
-        min_length=1, description="parts that were cut, in this order"
+        default_factory=list,
+        description="parts that were cut, in this order; none are required for "
+        "--advise alone",
+    )
+    trial: list[TrialTable] = Field(
+        default_factory=list,
+        description="measurements that could be made, beside the usual ones",
+    )
+    advice: AdviceTable = Field(
+        default_factory=AdviceTable, description="their instruments"
     )

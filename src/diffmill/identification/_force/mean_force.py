@@ -9,6 +9,17 @@ Automation, 2012, chapter 2 (average force model); in the axes of this package:
     F_z = N a_p / (2 pi) int F_a dphi,   F_i = K_ic f_z sin(phi) + K_ie
 
 Two slopes give K_tc and K_rc, two offsets K_te and K_re; F_z gives the others.
+
+Of a cutter of radius R teeth go on trochoids, not on circles (`process/_chip.py`), a
+face of the stock at the angle b clips the chip, and beside a wall of its own, at 0 or
+pi, a tooth rubs along a little longer. To the second order of f_z
+
+    h = f_z sin(phi) + f_z^2 (cos(phi)^2 - N sin(phi) cos(phi) / pi) / (2 R),
+    of which the face takes f_z^2 sin(b) |cos(b)| / (2 R) [m rad] at b,
+    and the edge forces act over f_z / (2 R) [rad] more at 0 and at pi:
+
+the lines bend, and slopes have a part of the edge forces. With R given both are taken
+into account.
 """
 
 import math
@@ -23,6 +34,10 @@ from .identifiability import identifiable, relative_uncertainty
 
 # Order of the coefficients wherever they are a vector.
 NAMES = LinearEdgeLaw.NAMES
+# Turns in which curvature and line follow from each other, nodes of a quadrature.
+_TURNS, _NODES = 4, 32
+# Sine of an angle below which a tooth enters or leaves along a wall of its own.
+_WALL = 1e-9
 
 FeedValues = Float[Array, " feed"] | Float[np.ndarray, " feed"] | Sequence[float]
 FeedRows = (
@@ -41,6 +56,8 @@ class MeanForceFit(eqx.Module):
             beside the mean forces; never with only two feeds.
         slope: Of the three lines [N/m], shape (3,), in feed axes.
         offset: Of the three lines [N], shape (3,).
+        curvature: Of the three lines, by trochoids [N/m^2], shape (3,); 0 without a
+            radius.
         r_squared: Share of each force's variance that its line explains, shape (3,).
         residual: Measured minus line [N], shape (feed, 3).
     """
@@ -51,8 +68,18 @@ class MeanForceFit(eqx.Module):
     identifiable: dict[str, bool]
     slope: Float[np.ndarray, " 3"]
     offset: Float[np.ndarray, " 3"]
+    curvature: Float[np.ndarray, " 3"]
     r_squared: Float[np.ndarray, " 3"]
     residual: Float[np.ndarray, "feed 3"]
+
+    def predicted(self, feed_per_tooth: FeedValues) -> Float[np.ndarray, "feed 3"]:
+        """Mean forces of the lines [N].
+
+        Args:
+            feed_per_tooth: f_z [m], shape (feed,).
+        """
+        f = np.array(feed_per_tooth, np.float64)[:, None]
+        return self.slope * f + self.curvature * f**2 + self.offset
 
     @property
     def law(self) -> LinearEdgeLaw:
@@ -81,6 +108,7 @@ def fit_mean_forces(
     axial_depth: float,
     entry_angle: float = 0.0,
     exit_angle: float = math.pi,
+    radius: float | None = None,
 ) -> MeanForceFit:
     """Fit the six coefficients to the mean forces of straight cuts.
 
@@ -92,6 +120,7 @@ def fit_mean_forces(
         axial_depth: a_p [m].
         entry_angle: Immersion angle at which a tooth enters [rad]; 0 for a slot.
         exit_angle: Immersion angle at which it leaves [rad]; pi for a slot.
+        radius: R of the cutter [m]; without it teeth are taken to go on circles.
 
     Returns:
         The fit.
@@ -111,18 +140,29 @@ def fit_mean_forces(
     # Per force a line: unknowns slope and offset, in units of the mean feed.
     unit = float(np.mean(feeds))
     X = np.column_stack([feeds / unit, np.ones_like(feeds)])
-    line = np.linalg.lstsq(X, mean, rcond=None)[0]
-    residual = mean - X @ line
-    freedom = len(feeds) - 2
-    inverse = np.linalg.inv(X.T @ X)
     to_slope, to_offset = mean_force_matrices(
         teeth, axial_depth, entry_angle, exit_angle
     )
-    by_slope, by_offset = np.linalg.inv(to_slope) / unit, np.linalg.inv(to_offset)
+    bend, rub = np.zeros((2, 3, 3))
+    if radius is not None:
+        bounds = entry_angle, exit_angle
+        bend, rub = _size_matrices(teeth, axial_depth, bounds, radius)
+    by_slope, by_offset = np.linalg.inv(to_slope), np.linalg.inv(to_offset)
     # Coefficients from the six numbers (slopes, offsets) of the lines.
     both = np.zeros((6, 6))
-    both[:3, :3], both[3:, 3:] = by_slope, by_offset
+    both[:3, :3], both[3:, 3:] = by_slope / unit, by_offset
+    both[:3, 3:] = -by_slope @ rub @ by_offset
+    line = np.linalg.lstsq(X, mean, rcond=None)[0]
     values = both @ line.reshape(-1)
+    curvature = bend @ values[:3]
+    # A hundredth of the force: each turn leaves a hundredth of what the one before did.
+    for _ in range(_TURNS):
+        line = np.linalg.lstsq(X, mean - feeds[:, None] ** 2 * curvature, rcond=None)[0]
+        values = both @ line.reshape(-1)
+        curvature = bend @ values[:3]
+    residual = mean - feeds[:, None] ** 2 * curvature - X @ line
+    freedom = len(feeds) - 2
+    inverse = np.linalg.inv(X.T @ X)
     if freedom > 0:
         spread = np.sum(residual**2, axis=0) / freedom
         covariance = both @ np.kron(inverse, np.diag(spread)) @ both.T
@@ -144,6 +184,7 @@ def fit_mean_forces(
         identifiable=dict(zip(NAMES, is_known.tolist(), strict=True)),
         slope=line[0] / unit,
         offset=line[1],
+        curvature=curvature,
         r_squared=np.where(around > 0, 1 - unexplained, 0.0),
         residual=residual,
     )
@@ -172,6 +213,44 @@ def mean_force_matrices(
     slope = [[-product, -square, 0.0], [square, -product, 0.0], [0.0, 0.0, sine]]
     offset = [[-cosine, -sine, 0.0], [sine, -cosine, 0.0], [0.0, 0.0, b - a]]
     return share * np.array(slope), share * np.array(offset)
+
+
+def _size_matrices(
+    teeth: int, axial_depth: float, bounds: tuple[float, float], radius: float
+) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3 3"]]:
+    """Mean force that a cutter has by its size, by second orders of the feed.
+
+    Args:
+        teeth: Number of teeth N.
+        axial_depth: a_p [m].
+        bounds: Angles of entry and exit [rad].
+        radius: R [m].
+
+    Returns:
+        In f_z^2 per K_tc, K_rc, K_ac [-], and in f_z per K_te, K_re, K_ae [-], each of
+        shape (3, 3).
+    """
+    x, weight = np.polynomial.legendre.leggauss(_NODES)
+    half = (bounds[1] - bounds[0]) / 2
+    phi = bounds[0] + half * (1 + x)
+    sin, cos = np.sin(phi), np.cos(phi)
+    chip = cos**2 - teeth * sin * cos / math.pi
+    bend = half * np.sum(weight * chip * _directions(phi), axis=-1)
+    rub = np.zeros((3, 3))
+    for bound in bounds:
+        own = _directions(np.array([bound]))[..., 0]
+        bend = bend - math.sin(bound) * abs(math.cos(bound)) * own
+        if abs(math.sin(bound)) < _WALL:
+            rub = rub + own
+    share = teeth * axial_depth / (2 * math.pi) / (2 * radius)
+    return share * bend, share * rub
+
+
+def _directions(phi: Float[np.ndarray, " angle"]) -> Float[np.ndarray, "3 3 angle"]:
+    """Forces along x, y and z per F_t, F_r and F_a [-]."""
+    sin, cos = np.sin(phi), np.cos(phi)
+    zero, one = np.zeros_like(phi), np.ones_like(phi)
+    return np.array([[-cos, -sin, zero], [sin, -cos, zero], [zero, zero, one]])
 
 
 def by_name(values: Float[np.ndarray, " 6"]) -> dict[str, float]:

@@ -135,12 +135,15 @@ class MeanForceStudy:
             axes = proposals[0].axes
         used = next(one for one in proposals if one.axes == axes)
         force = in_work_axes(self.mean_force, axes)
+        R = float(cut.cutter.nominal_radius)
+        trochoids = fit_mean_forces(feeds, force, **shape, radius=R)
+        used = dataclasses.replace(used, fit=trochoids)
         predicted = np.full_like(force, np.nan)
         for i in range(len(feeds)):
             others = feeds != feeds[i]
             if np.unique(feeds[others]).size >= 2:
-                line = fit_mean_forces(feeds[others], force[others], **shape)
-                predicted[i] = line.slope * feeds[i] + line.offset
+                line = fit_mean_forces(feeds[others], force[others], **shape, radius=R)
+                predicted[i] = line.predicted(feeds[i : i + 1])[0]
         registrations, amplitudes = [], []
         for record in self.records:
             on_progress(f"tooth passing of {record.name}")
