@@ -11,6 +11,8 @@ from diffmill import learning
 HERE = pathlib.Path(__file__).parent
 TRACKER, PROBE = 15e-6, 3e-6
 ROUNDS, SPACING = 3, 2e-3
+# How many are drawn: each takes some minutes.
+MACHINES = 4
 
 
 def load():
@@ -90,8 +92,7 @@ def judge(report, found, limits):
         report.figure("largest rise from a part to the next", rises.max(), 1.0, "um")
 
 
-def drawn(job, count=None, **sizes):
+def drawn(job, count=MACHINES, **sizes):
     """Return machines as `[truth]` draws them, with other sizes."""
     truth = dataclasses.replace(job.truth, **sizes)
-    count = truth.draws if count is None else count
     return [dm.sim.drawn_machine(job, truth, k) for k in range(count)]

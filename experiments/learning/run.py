@@ -10,7 +10,7 @@ HERE = pathlib.Path(__file__).parent
 # The runner is shared with other experiments.
 sys.path.append(str(HERE.parent / "common"))
 
-GROUPS = ("tracked", "flange", "points", "right", "robust")
+GROUPS = ("tracked", "flange", "points", "right", "transfer", "robust")
 
 
 if __name__ == "__main__":

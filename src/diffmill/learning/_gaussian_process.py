@@ -32,8 +32,8 @@ class Whitened(NamedTuple):
         log_determinant: Of the covariance.
     """
 
-    rows: Float[Array, "observation column"]
-    log_determinant: Float[Array, ""]
+    rows: Float[Array, "observation column"] | Float[np.ndarray, "observation column"]
+    log_determinant: Float[Array, ""] | float
 
 
 class PathProcess(eqx.Module):
@@ -203,7 +203,12 @@ def _evidence(
         return -0.5 * (jnp.sum(white.rows**2) + white.log_determinant)
 
     grid = jax.vmap(jax.vmap(at, (None, 0)), (0, None))(lengths, sizes)
-    return grid - jnp.log1p((SIZES / EXPECTED_SIZE) ** 2)[None]
+    return grid + log_size_prior(SIZES)[None]
+
+
+def log_size_prior(size: Float[np.ndarray, " size"]) -> Float[np.ndarray, " size"]:
+    """Logarithm of how likely a size of a process is, but for a constant."""
+    return -np.log1p((size / EXPECTED_SIZE) ** 2)
 
 
 class BestProcess(NamedTuple):

@@ -22,10 +22,10 @@ from ._posterior import (
     Prior,
     Processes,
     Stacked,
+    Unknowns,
     chosen_prior,
     known_prior,
     processes,
-    whitened,
 )
 
 # Logarithm of how much more likely parameters and process must make what was seen to
@@ -33,7 +33,7 @@ from ._posterior import (
 LEAST_GAIN = 3.0
 # Variance, in units of the priors, that keeps what is known already regular.
 _LEAST_VARIANCE = 1e-8
-_FIRST_STEPS, _LATER_STEPS = 2, 1
+_FIRST_STEPS, _LATER_STEPS = 3, 1
 OnProgress = Callable[[str], None]
 
 
@@ -191,7 +191,7 @@ def learn(
     *,
     prior: MachinePrior | MachinePosterior | None = None,
     corrects: bool = True,
-    max_steps: int = 3,
+    max_steps: int = 8,
     known: LearnedMachine | None = None,
     on_progress: OnProgress | None = None,
 ) -> LearnedMachine:
@@ -223,7 +223,7 @@ def learn(
     if not parts:
         raise ValueError("Argument `parts` must have a part, but is empty.")
     search = _Search(job, prior or MachinePrior(), tuple(parts))
-    x = search.center if known is None else known.posterior.mean
+    x = search.start if known is None else known.posterior.mean
     tell("what the machine does beyond its model")
     system = search.linearised(x)
     for step in range(_FIRST_STEPS if known is None else _LATER_STEPS):
@@ -231,6 +231,7 @@ def learn(
             system = search.linearised(x)
         if system.gain < LEAST_GAIN:
             tell("the parts show nothing that the model does not know")
+            x = search.center
             break
         x = search.step(x, system)
     found = search.outcome(x, system)
@@ -250,6 +251,7 @@ class _Search:
 
     Attributes:
         center: Parameters before these parts are seen, shape (parameter,).
+        start: Parameters to begin with, shape (parameter,).
         set_up: What the set-ups of the measurements leave open, of one after the other,
             in units of its priors, shape (nuisance,).
     """
@@ -263,10 +265,11 @@ class _Search:
         self.job, self.known = job, None
         if isinstance(prior, MachinePosterior):
             self.known, self.machine = prior, prior.machine_for(job)
-            self.center = prior.mean
+            self.center = self.start = prior.mean
         else:
             self.machine = AdaptableMachine.of_job(job, prior)
             self.center = np.zeros(self.machine.count)
+            self.start = self.machine.start
         base = self.machine.base
         self.commands = [np.asarray(part.commanded) for part in parts]
         self.rigid = rigid_cut(base, FrozenStock())
@@ -348,14 +351,17 @@ class _Search:
         residuals = self.residuals(x)
         stacked = self.weigh(residuals)
         residual = np.concatenate(residuals)
-        found, columns = processes(stacked, residual), self.columns(x)
+        columns = self.columns(x)
         slopes = np.concatenate([seen.of(columns) for seen in self.seen])
-        rows = [residual[:, None], slopes[:, self.free], self.nuisance()]
-        white = whitened(stacked, found, np.concatenate(rows, axis=1))
-        r, M = white[:, 0], white[:, 1:]
-        at = np.r_[x[self.free], self.set_up]
-        prior = self._prior(M, r + M @ at)
-        return Linearised(at, M, r, prior, prior.gain + found.gain)
+        no_bound = np.full(len(self.set_up), -np.inf)
+        unknowns = Unknowns(
+            np.r_[x[self.free], self.set_up],
+            np.r_[self.machine.lower[self.free], no_bound],
+            np.concatenate([slopes[:, self.free], self.nuisance()], axis=1),
+            self._prior,
+        )
+        of_model = np.concatenate(self.residuals(self.center))
+        return unknowns.linearised(stacked, residual, of_model)
 
     def _prior(self, slopes: np.ndarray, seen: np.ndarray) -> Prior:
         """Prior of the unknowns: of sizes that suit them, or what is known."""

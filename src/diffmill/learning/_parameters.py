@@ -28,14 +28,20 @@ from ..sim import (
 )
 from ._measurement import Observables
 
-# Rate above which a joint of a robot without friction of its own slides [rad/s or m/s].
-_FRICTION_SPEED = 2e-3
+# Of a robot without friction of its own: by which a joint yields before it slides [rad
+# or m], and the rate above which it slides where a run begins [rad/s or m/s]. A law
+# that creeps would lose what an axis that stands still keeps.
+_PRESLIDING, _FRICTION_SPEED = 5e-6, 2e-3
 # Width of the rounded corners of a gap, as a share of it: of runs, and of their slopes.
 # Slopes at a sharp corner hold for a micrometre, and mislead a search that goes on.
 _CORNER, _SMOOTH_CORNER = 0.2, 1.0
 # Gaps below this share of their prior are none; slopes are taken at no less than
 # `_LEAST_SLOPE`, since a gap of nothing has none.
 _LEAST_GAP, _LEAST_SLOPE = 0.02, 0.3
+# Change of friction and gaps for secants, in prior sizes.
+_SECANT = 0.5
+# Friction and gaps about which slopes are first taken, in prior sizes.
+_EXPECTED = 1.0
 # Change of the logarithm of a force coefficient, for differences.
 _FORCE_STEP = 0.1
 
@@ -200,6 +206,17 @@ class AdaptableMachine(eqx.Module):
         return self.sizes > 0
 
     @property
+    def start(self) -> Float[np.ndarray, " parameter"]:
+        """Parameters to begin with: the model, with some friction and gaps.
+
+        Without friction a joint that carries no load floats in its gap, and no slope
+        about that holds.
+        """
+        found = np.zeros(self.count)
+        found[self._with_corners()] = _EXPECTED
+        return found
+
+    @property
     def lower(self) -> Float[np.ndarray, " parameter"]:
         """Lower bounds: friction and gaps are not negative, shape (parameter,)."""
         bounds = np.full(self.count, -np.inf)
@@ -243,10 +260,11 @@ class AdaptableMachine(eqx.Module):
     ) -> Observables:
         """Slopes of what is seen of a run in the parameters, (step, 3, parameter).
 
-        A parameter of a drive is a torque along the path, which follows from where the
-        joints are, and one of the force one that follows from the rigid cut. One linear
-        system of the run, with slopes in the motors and in torques on the joints,
-        carries any number of them.
+        Stiffness and damping are torques along the path, which follow from where the
+        joints are, and those of the force follow from the rigid cut. One linear system
+        of the run, with slopes in the motors and in torques on the joints, carries any
+        number of them. Friction and gaps have corners, and a joint that carries no load
+        floats in its gap: their slopes are secants of whole runs.
 
         Args:
             x: Parameters, shape (parameter,).
@@ -274,8 +292,28 @@ class AdaptableMachine(eqx.Module):
             force,
         )
         tip, arm = _columns(self, job, jnp.asarray(at), seen)
+        tip, arm = np.array(tip), np.array(arm)
+        here = self._deviations(x, rigid, command)
+        for k in self._with_corners():
+            way = _SECANT * np.eye(self.count)[k]
+            there = self._deviations(x + way, rigid, command)
+            tip[:, :, k], arm[:, :, k] = (there - here) / _SECANT
         field = self.field_columns(np.asarray(job.path.positions))
-        return Observables(np.asarray(tip) + field, np.asarray(arm), np.asarray(force))
+        return Observables(tip + field, arm, np.asarray(force))
+
+    def _with_corners(self) -> np.ndarray:
+        """Indices of the free parameters of friction and gaps."""
+        both = [self.group(name).index for name in ("friction", "backlash")]
+        return np.intersect1d(np.concatenate(both), np.flatnonzero(self.is_free))
+
+    def _deviations(
+        self, x: Float[np.ndarray, " parameter"], rigid: Run, command: Array
+    ) -> Float[np.ndarray, "2 step 3"]:
+        """Deviation of the tip without the field, in the work and of the arm [m]."""
+        job = self.job_at(x)
+        run = Solution.of_command(job, rigid, command, FrozenStock())
+        tip = np.asarray(run.surface_deviation, np.float64)
+        return np.stack([tip, tip - self.frame_shift(job)])
 
     def _force_columns(
         self,
@@ -340,7 +378,8 @@ def _robot_at(
 ) -> Robot:
     """Robot with more friction and gaps than its own."""
     coulomb, viscous = friction, jnp.zeros_like(friction)
-    speed, presliding = jnp.full_like(friction, _FRICTION_SPEED), None
+    speed = jnp.full_like(friction, _FRICTION_SPEED)
+    presliding = jnp.full_like(friction, _PRESLIDING)
     if robot.friction is not None:
         own = robot.friction
         coulomb, viscous = own.coulomb + friction, own.viscous

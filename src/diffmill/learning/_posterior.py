@@ -1,6 +1,7 @@
 """Posterior of parameters and process, from the residuals of measured parts."""
 
 import itertools
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -8,7 +9,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ._gaussian_process import Observations, PathProcess, best_process
+from ._gaussian_process import (
+    EXPECTED_SIZE,
+    Observations,
+    PathProcess,
+    Whitened,
+    best_process,
+    log_size_prior,
+)
 from ._measurement import Seen
 from ._parameters import AdaptableMachine
 
@@ -28,6 +36,8 @@ _FORCE_SCALE = 1e6
 _TRUST = 3.0
 # Length of a process, in spacings of its observations, at which they show it [-].
 _LEAST_SPACINGS = 0.8
+# Turns in which process and parameters are chosen for each other.
+_TURNS = 3
 
 
 class Stacked(NamedTuple):
@@ -67,14 +77,22 @@ class Processes(NamedTuple):
     Attributes:
         process: One process per set.
         chosen: Observations of each, shape (set, observation).
-        gain: How much more likely they make what was seen, logarithm.
+        none: Log likelihood of what was seen with processes as good as none.
         of_tip: How many of them are of the tip; those of forces come last.
     """
 
     process: tuple[PathProcess, ...]
     chosen: tuple[np.ndarray, ...]
-    gain: float
+    none: float
     of_tip: int
+
+    def of_expected_size(self) -> "Processes":
+        """The same, of the tip no larger than is expected of them."""
+        small = [
+            PathProcess(one.length, jnp.minimum(one.size, EXPECTED_SIZE))
+            for one in self.process[: self.of_tip]
+        ]
+        return self._replace(process=(*small, *self.process[self.of_tip :]))
 
 
 def processes(stacked: Stacked, residual: np.ndarray) -> Processes:
@@ -89,7 +107,7 @@ def processes(stacked: Stacked, residual: np.ndarray) -> Processes:
     is_force = np.concatenate(
         [np.full(len(s.time), s.observed == "force") for s in stacked.seen]
     )
-    found, all_chosen, gain, of_tip = [], [], 0.0, 0
+    found, all_chosen, none, of_tip = [], [], 0.0, 0
     for kind in (False, True):
         own = is_force == kind
         seen = [s for s in stacked.seen if (s.observed == "force") == kind]
@@ -109,23 +127,33 @@ def processes(stacked: Stacked, residual: np.ndarray) -> Processes:
             length = jnp.full(3, best.length)
             found.append(PathProcess(length, best.size * jnp.asarray(axes)))
             all_chosen.append(chosen)
-            gain += best.evidence - best.evidence_of_none
+            none += best.evidence_of_none
         of_tip += 0 if kind else len(sets)
-    return Processes(tuple(found), tuple(all_chosen), gain, of_tip)
+    return Processes(tuple(found), tuple(all_chosen), none, of_tip)
 
 
-def whitened(stacked: Stacked, found: Processes, columns: np.ndarray) -> np.ndarray:
-    """Columns of observations, without correlation and of variance one."""
-    white = []
-    for process, chosen in zip(found.process, found.chosen, strict=True):
+def whitened(stacked: Stacked, found: Processes, columns: np.ndarray) -> Whitened:
+    """Columns of observations, without correlation and of variance one.
+
+    The determinant also has the prior of the processes' sizes.
+    """
+    white, log_determinant = [], 0.0
+    for k, (process, chosen) in enumerate(
+        zip(found.process, found.chosen, strict=True)
+    ):
         rows = jnp.asarray(stacked.rows(columns, chosen))
-        white.append(np.asarray(_whiten(process, stacked.observations(chosen), rows)))
-    return np.concatenate(white)
+        own = _whiten(process, stacked.observations(chosen), rows)
+        white.append(np.asarray(own.rows))
+        scale = 1.0 if k < found.of_tip else _FORCE_SCALE
+        prior = log_size_prior(np.asarray(process.size) / scale)
+        # Axes without the process have a size of nothing.
+        log_determinant += float(own.log_determinant) - 2 * float(prior.min())
+    return Whitened(np.concatenate(white), log_determinant)
 
 
 @jax.jit
-def _whiten(process: PathProcess, seen: Observations, rows: jax.Array) -> jax.Array:
-    return process.whiten(seen, rows).rows
+def _whiten(process: PathProcess, seen: Observations, rows: jax.Array) -> Whitened:
+    return process.whiten(seen, rows)
 
 
 class Prior(NamedTuple):
@@ -150,7 +178,8 @@ class Linearised(NamedTuple):
         slopes: Whitened slopes of the observations, shape (observation, unknown).
         residual: Whitened residual at the values, shape (observation,).
         prior: Prior that suits them.
-        gain: How much more likely unknowns and process make what was seen, logarithm.
+        gain: How much more likely unknowns and process make what was seen than the
+            model without a process, logarithm.
     """
 
     unknowns: Float[np.ndarray, " unknown"]
@@ -179,6 +208,53 @@ class Linearised(NamedTuple):
         """Covariance of the unknowns, in units of their full priors."""
         W = self.prior.root
         return np.linalg.inv(W.T @ W + self.slopes.T @ self.slopes)
+
+
+class Unknowns(NamedTuple):
+    """What the observations depend on, linearly about some values.
+
+    Attributes:
+        at: The values: free parameters, then what set-ups leave open.
+        lower: Lower bounds of these.
+        columns: Slopes of the observations, shape (observation, unknown).
+        prior: Prior of them that suits whitened slopes and observations.
+    """
+
+    at: Float[np.ndarray, " unknown"]
+    lower: Float[np.ndarray, " unknown"]
+    columns: Float[np.ndarray, "observation unknown"]
+    prior: Callable[[np.ndarray, np.ndarray], Prior]
+
+    def linearised(
+        self, stacked: Stacked, residual: np.ndarray, of_model: np.ndarray
+    ) -> Linearised:
+        """Least squares with process and prior of the largest marginal likelihood.
+
+        A process as large as the residual explains it all and leaves nothing to the
+        parameters; a small one lets them take what they can. From both, each is chosen
+        by turns for what the other leaves.
+
+        Args:
+            stacked: The observations.
+            residual: Of them at the values [m or N].
+            of_model: The same of the model.
+        """
+        none = processes(stacked, of_model).none
+        large = processes(stacked, residual)
+        rows = np.concatenate([residual[:, None], self.columns], axis=1)
+        tried = []
+        for found in (large, large.of_expected_size()):
+            for _ in range(_TURNS):
+                white = whitened(stacked, found, rows)
+                r, M = np.asarray(white.rows[:, 0]), np.asarray(white.rows[:, 1:])
+                prior = self.prior(M, r + M @ self.at)
+                away = r + M @ (self.at - prior.mean)
+                evidence = prior.gain - 0.5 * (away @ away + white.log_determinant)
+                gain = float(evidence - none)
+                tried.append(Linearised(self.at, M, r, prior, gain))
+                change = tried[-1].solved(self.lower) - self.at
+                found = processes(stacked, residual - self.columns @ change)
+        return max(tried, key=lambda system: system.gain)
 
 
 def known_prior(

@@ -40,7 +40,14 @@ from .method import (
     within_joint_limits,
 )
 from .objective import check_limits, job_ensemble, job_spline
-from .plants import JointPlant, SolvedMotion, TipPlant, job_mirror, solved_motion
+from .plants import (
+    JointPlant,
+    SolvedMotion,
+    TipPlant,
+    job_mirror,
+    solved_motion,
+    with_smooth_drives,
+)
 from .segment_rows import SegmentRows
 
 if TYPE_CHECKING:
@@ -209,7 +216,7 @@ def correct(
     is_optimised = "corrected" in compared(job)
     is_linear = job.correction.optimiser.uses_linear_run
     if is_optimised and segments is None and is_linear:
-        prepare_linear_job(job)
+        prepare_linear_job(with_smooth_drives(job))
     # A program beyond a joint's limit is refused before anything runs, too.
     JointLimits(job).check(desired, is_joints=False)
     record = CaseRecord(on_progress, on_checkpoint, resume)

@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 from ..._job import Job
 from ..._types import FloatRows
 from ...process import AbstractAdjoint, FrozenStock
+from ...robot import Robot
 from ...sim import JobKinematics, MachiningProblem, Run, Solution
 from .._core.method import AbstractMethod
 from .._core.problem import AbstractHostPlant, Motion, Problem
@@ -85,12 +86,12 @@ class TipPlant(AbstractHostPlant):
         kinematics, command = JobKinematics(self.job), jnp.asarray(command)
         joints, _ = kinematics.joints(command)
         found = linear_job(
-            _with_round_gaps(self.job),
+            with_smooth_drives(self.job),
             kinematics.motor_positions_from_joints(joints),
             kinematics.motor_slopes(joints, command),
             self.wall_share,
         )
-        return _about_sharp_gaps(self, found, command)
+        return _about_sharp_drives(self, found, command)
 
 
 class ScaledPlant(AbstractUncertainPlant):
@@ -179,28 +180,41 @@ class JointPlant(AbstractHostPlant):
         """Linear system around a command."""
         joints = jnp.asarray(command)
         slopes = JobKinematics(self.job).motor_slopes(joints)
-        job = _with_round_gaps(self.job)
+        job = with_smooth_drives(self.job)
         found = linear_job(job, self.motors(joints), slopes, self.wall_share)
-        return _about_sharp_gaps(self, found, command)
+        return _about_sharp_drives(self, found, command)
 
 
-def _with_round_gaps(job: Job) -> Job:
-    """Job whose gaps have corners as wide as they can be, for slopes.
+def with_smooth_drives(job: Job) -> Job:
+    """Job whose drives have slopes that hold over more than a micrometre.
 
-    Those at a sharp corner hold over a micrometre: a search that follows them takes no
-    step, where the command has to bring a gear through its gap.
+    Gaps get corners as round as they can be. A joint that sticks has no slope where the
+    command has to make it slide: its motor carries it there, without friction or gap.
     """
-    if job.robot is None or job.robot.backlash is None:
+    robot = job.robot
+    if robot is None:
         return job
-    robot = job.robot.with_backlash(job.robot.backlash.gap, corner=1.0)
+    if robot.backlash is not None:
+        share = 0.0 if _sticks(robot) else 1.0
+        robot = robot.with_backlash(share * robot.backlash.gap, corner=1.0)
+    if _sticks(robot):
+        assert robot.friction is not None
+        own = robot.friction
+        robot = robot.with_friction(0.0 * own.coulomb, own.viscous, own.speed)
     return dataclasses.replace(job, robot=robot)
 
 
-def _about_sharp_gaps(
+def _sticks(robot: Robot) -> bool:
+    """Whether joints of a robot stick."""
+    return robot.friction is not None and robot.friction.presliding is not None
+
+
+def _about_sharp_drives(
     plant: TipPlant | JointPlant, found: LinearJob, command: FloatRows
 ) -> LinearJob:
-    """System of round gaps about the motion of a plant with gaps as they are."""
-    if plant.job.robot is None or plant.job.robot.backlash is None:
+    """System of smooth drives about the motion of a plant with drives as they are."""
+    robot = plant.job.robot
+    if robot is None or (robot.backlash is None and not _sticks(robot)):
         return found
     motion = plant.run(command)
     return dataclasses.replace(found, motion=Motion(motion.actual, motion.force))
