@@ -15,8 +15,15 @@ from ..correction import Correction, correct
 from ..process import FrozenStock
 from ..sim import Run, Solution, rigid_cut
 from ._machine_posterior import MachinePosterior, normal_variance
-from ._measurement import Observables, Observed, Part, wall_times
-from ._parameters import AdaptableMachine, MachinePrior, Rows3
+from ._measurement import (
+    AbstractMeasurement,
+    MeasuredForces,
+    Observables,
+    Observed,
+    Part,
+    wall_times,
+)
+from ._parameters import GROUPS, AdaptableMachine, MachinePrior, Rows3
 from ._posterior import (
     Linearised,
     Prior,
@@ -246,6 +253,18 @@ def learn(
     return dataclasses.replace(found, correction=correction)
 
 
+def _told_by(measurements: Sequence[AbstractMeasurement]) -> tuple[str, ...]:
+    """Groups of parameters that some measurements may tell apart.
+
+    Points of walls see one direction each, a few for all that the drives do: what they
+    show is left to the process, which says nothing far from them.
+    """
+    if any(one.sees_motion for one in measurements):
+        return GROUPS
+    sees_force = any(isinstance(one, MeasuredForces) for one in measurements)
+    return ("force", "field") if sees_force else ("field",)
+
+
 class _Search:
     """Gauss-Newton on the parameters of a machine, the process integrated out.
 
@@ -267,7 +286,9 @@ class _Search:
             self.known, self.machine = prior, prior.machine_for(job)
             self.center = self.start = prior.mean
         else:
-            self.machine = AdaptableMachine.of_job(job, prior)
+            machine = AdaptableMachine.of_job(job, prior)
+            seen = [one for part in parts for one in part.measurements]
+            self.machine = machine.with_free(_told_by(seen))
             self.center = np.zeros(self.machine.count)
             self.start = self.machine.start
         base = self.machine.base

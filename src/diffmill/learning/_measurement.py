@@ -2,7 +2,7 @@
 
 import abc
 import dataclasses
-from typing import Literal, NamedTuple, TypeAlias
+from typing import ClassVar, Literal, NamedTuple, TypeAlias
 
 import equinox as eqx
 import jax
@@ -77,7 +77,13 @@ class Seen(eqx.Module):
 
 
 class AbstractMeasurement(eqx.Module):
-    """A measurement of a part that was cut."""
+    """A measurement of a part that was cut.
+
+    Attributes:
+        sees_motion: Whether it sees the tip or the joints on their way, in all axes.
+    """
+
+    sees_motion: eqx.AbstractClassVar[bool]
 
     @abc.abstractmethod
     def seen(self, job: Job, rigid: Solution) -> Seen:
@@ -110,6 +116,7 @@ class TrackedTips(AbstractMeasurement):
         delay: That of its clock against the program's [s].
     """
 
+    sees_motion: ClassVar[bool] = True
     tips: FloatRows3
     noise: RealScalarLike
     time: FloatSteps | None = None
@@ -184,6 +191,7 @@ class LinkEncoders(AbstractMeasurement):
         delay: That of their clock against the program's [s].
     """
 
+    sees_motion: ClassVar[bool] = True
     joints: FloatRows
     noise: RealScalarLike
     time: FloatSteps
@@ -250,6 +258,7 @@ class MeasuredForces(AbstractMeasurement):
         offset: That of each axis of the instrument [N].
     """
 
+    sees_motion: ClassVar[bool] = False
     force: FloatRows3
     noise: RealScalarLike
     time: FloatSteps
@@ -308,6 +317,7 @@ class WallPoints(AbstractMeasurement):
         offset: That of where the instrument takes the work to be, along each axis [m].
     """
 
+    sees_motion: ClassVar[bool] = False
     points: FloatRows3
     normals: FloatRows3
     noise: RealScalarLike

@@ -46,6 +46,11 @@ _EXPECTED = 1.0
 _FORCE_STEP = 0.1
 
 Rows3 = Float[np.ndarray, "step 3"]
+# Groups of parameters, in their order.
+GROUPS = (
+    *("stiffness", "damping", "force", "friction", "backlash", "servo"),
+    "field",
+)
 
 
 class MachinePrior(eqx.Module):
@@ -179,6 +184,18 @@ class AdaptableMachine(eqx.Module):
     def count(self) -> int:
         """Number of parameters."""
         return len(self.names)
+
+    def with_free(self, names: tuple[str, ...]) -> "AdaptableMachine":
+        """The machine with parameters of some groups alone; others stay as modelled.
+
+        Args:
+            names: The groups.
+        """
+        sizes = np.zeros(self.count)
+        for name in names:
+            index = self.group(name).index
+            sizes[index] = self.sizes[index]
+        return dataclasses.replace(self, sizes=sizes)
 
     def group(self, name: str) -> Group:
         """Group of a name."""
