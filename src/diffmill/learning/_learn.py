@@ -12,6 +12,7 @@ from jaxtyping import Float
 from .._job import Job
 from .._types import FloatRows3
 from ..correction import Correction, correct
+from ..numerics import lowpass
 from ..process import FrozenStock
 from ..sim import Run, Solution, rigid_cut
 from ._machine_posterior import MachinePosterior, normal_variance
@@ -40,6 +41,9 @@ from ._posterior import (
 LEAST_GAIN = 3.0
 # Variance, in units of the priors, that keeps what is known already regular.
 _LEAST_VARIANCE = 1e-8
+# Of the mirror on the machine as it was learnt: cut-off frequencies [Hz], one after the
+# other, share of the deviation that a turn takes off, turns at most.
+_CUTOFFS, _RELAXATION, _MIRRORS = (6.0, 3.0), 0.7, 12
 _FIRST_STEPS, _LATER_STEPS = 3, 1
 OnProgress = Callable[[str], None]
 
@@ -210,7 +214,7 @@ def learn(
         prior: Sizes of what may be wrong, the default's if not given; or what parts of
             another program have shown of the machine.
         corrects: Whether the program is corrected, too.
-        max_steps: Steps of its optimiser at most.
+        max_steps: Steps of Gauss-Newton at most, between turns of the mirror.
         known: What was learnt from the parts before, to begin there.
         on_progress: Called with a message.
 
@@ -244,12 +248,19 @@ def learn(
     found = search.outcome(x, system)
     if not corrects:
         return found
-    tell("next command")
     best = search.commands[int(np.argmin(found.part_errors))]
-    # The corrected command holds for the machine as it is known now.
-    settings = dataclasses.replace(found.job.correction, max_steps=max_steps)
-    asked = dataclasses.replace(found.job, correction=settings)
-    correction = correct(asked, start=best, throw=False)
+    # Gauss-Newton alone stands still before joints that stick or float in a gap, through
+    # which the mirror brings them; and the mirror diverges where Gauss-Newton is good.
+    correction, first = None, (max_steps + 1) // 2
+    for steps in filter(None, (first, max_steps - first)):
+        tell("next command: mirror")
+        best = search.mirrored(found.job, best)
+        tell("next command: Gauss-Newton")
+        # The corrected command holds for the machine as it is known now.
+        settings = dataclasses.replace(found.job.correction, max_steps=steps)
+        asked = dataclasses.replace(found.job, correction=settings)
+        correction = correct(asked, start=best, throw=False)
+        best = np.asarray(correction.commanded)
     return dataclasses.replace(found, correction=correction)
 
 
@@ -478,6 +489,32 @@ class _Search:
             m, s = process.smoothed(seen, stacked.rows(residual, chosen), times)
             mean, variance = mean + np.asarray(m), variance + np.asarray(s) ** 2
         return mean, np.sqrt(variance)
+
+    def mirrored(self, job: Job, command: FloatRows3) -> Rows3:
+        """Command of the least error that a filtered mirror finds, itself included.
+
+        Args:
+            job: The job on the machine as it was learnt.
+            command: The command to begin with [m], shape (step, 3).
+        """
+        program = np.asarray(self.job.path.positions)
+        reach, rate = float(job.correction.max_offset), 1 / float(job.tooth_period)
+        best, least = np.asarray(command), np.inf
+        for cutoff in _CUTOFFS:
+            command, worse = best, 0
+            for _ in range(_MIRRORS):
+                run = Solution.of_command(
+                    job, self.rigid, jnp.asarray(command), FrozenStock()
+                )
+                error, deviation = run.contour.rms, np.asarray(run.surface_deviation)
+                worse = 0 if error < least else worse + 1
+                if error < least:
+                    best, least = command, error
+                if worse == 2 or not np.all(np.isfinite(deviation)):
+                    break
+                step = _RELAXATION * lowpass(deviation, rate, cutoff)
+                command = np.clip(command - step, program - reach, program + reach)
+        return best
 
     def _error(self, job: Job, command: FloatRows3) -> float:
         """Contour error that a command leaves on a machine, where it cuts [m rms]."""

@@ -192,7 +192,7 @@ class LearningTable(TomlTable):
 
     job: File = Field(description='the job that was cut, such as "part.toml"')
     steps: Annotated[StrictInt, Field(ge=0, le=100)] = Field(
-        default=3, description="steps of the next correction at most; 0: none is made"
+        default=8, description="steps of the next correction at most; 0: none is made"
     )
     prior: MachinePriorTable = Field(
         default_factory=MachinePriorTable, description="how far the machine may be off"
