@@ -249,8 +249,8 @@ def learn(
     if not corrects:
         return found
     best = search.commands[int(np.argmin(found.part_errors))]
-    # Gauss-Newton stands still before joints that stick or float in a gap, through which
-    # the mirror brings them; the mirror diverges where Gauss-Newton is good.
+    # Gauss-Newton stands still before joints that stick or float in a gap: the mirror
+    # brings them through, and diverges where Gauss-Newton is good.
     correction, first = None, (max_steps + 1) // 2
     for steps in filter(None, (first, max_steps - first)):
         tell("next command: mirror")
