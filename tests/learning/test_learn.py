@@ -48,10 +48,13 @@ def test_columns_are_differences(job, has_servos):
     assert any(n.startswith("servo") for n in np.array(names)[machine.is_free]) == (
         has_servos
     )
-    for k in np.flatnonzero(machine.is_free):
-        # Friction and gaps have secants over half a prior, which hold about a corner.
+    # Two of each group: a run takes a second.
+    groups = [machine.group("servo")] if has_servos else machine.groups
+    chosen = np.concatenate([group.index[[0, -1]] for group in groups])
+    for k in np.intersect1d(chosen, np.flatnonzero(machine.is_free)):
+        # Friction and gaps have secants over half a prior.
         has_corners = names[k].startswith(("friction", "backlash"))
-        above, below = (0.25, 0.0) if has_corners else (0.02, -0.02)
+        above, below = (0.5, 0.0) if has_corners else (0.02, -0.02)
         way = np.eye(machine.count)[k]
         both = (observables(x + a * way, not has_corners) for a in (above, below))
         for found, more, less in zip(columns, *both, strict=True):
@@ -59,7 +62,7 @@ def test_columns_are_differences(job, has_servos):
             if np.abs(numeric).max() > 1e-8:
                 away = np.sqrt(np.mean((found[:, :, k] - numeric) ** 2))
                 # Torques are taken at the rows.
-                share = 0.7 if has_corners else 0.15
+                share = 0.01 if has_corners else 0.15
                 assert away < share * np.sqrt(np.mean(numeric**2)), names[k]
 
 
