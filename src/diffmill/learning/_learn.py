@@ -29,6 +29,7 @@ from ._posterior import (
     Linearised,
     Prior,
     Processes,
+    SetUp,
     Stacked,
     Unknowns,
     chosen_prior,
@@ -242,7 +243,7 @@ def learn(
             system = search.linearised(x)
         if system.gain < LEAST_GAIN:
             tell("the parts show nothing that the model does not know")
-            x = search.center
+            x, search.set_up = search.center, search.set_up_alone().found
             break
         x = search.step(x, system)
     found = search.outcome(x, system)
@@ -338,13 +339,16 @@ class _Search:
             )
         return self._predicted[key]
 
-    def residuals(self, x: np.ndarray) -> list[np.ndarray]:
+    def residuals(
+        self, x: np.ndarray, set_up: np.ndarray | None = None
+    ) -> list[np.ndarray]:
         """Residuals of each measurement beyond machine and set-up [m or N]."""
+        set_up = self.set_up if set_up is None else set_up
         found, first = [], 0
         for seen, part in zip(self.seen, self.part, strict=True):
             last = first + seen.nuisance.shape[1]
             known = seen.of(self.predicted(x, part))
-            known = known + seen.nuisance @ self.set_up[first:last]
+            known = known + seen.nuisance @ set_up[first:last]
             found.append(seen.value - known)
             first = last
         return found
@@ -392,8 +396,13 @@ class _Search:
             np.concatenate([slopes[:, self.free], self.nuisance()], axis=1),
             self._prior,
         )
-        of_model = np.concatenate(self.residuals(self.center))
-        return unknowns.linearised(stacked, residual, of_model)
+        return unknowns.linearised(stacked, residual, self.set_up_alone())
+
+    def set_up_alone(self) -> SetUp:
+        """What the set-ups of the measurements explain of the model, and no machine."""
+        residuals = self.residuals(self.center, np.zeros(len(self.set_up)))
+        stacked = Stacked.of(self.seen, self.weights)
+        return SetUp.fitted(stacked, np.concatenate(residuals), self.nuisance())
 
     def _prior(self, slopes: np.ndarray, seen: np.ndarray) -> Prior:
         """Prior of the unknowns: of sizes that suit them, or what is known."""

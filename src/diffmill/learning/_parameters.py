@@ -17,7 +17,7 @@ from ..cutting import AbstractForceLaw
 from ..process import FrozenStock, wall_deviation
 from ..robot import Controller, Robot, jacobian
 from ..sim import (
-    JobKinematics,
+    DrivenRun,
     MachiningProblem,
     Run,
     Solution,
@@ -293,22 +293,11 @@ class AdaptableMachine(eqx.Module):
         gaps = self.group("backlash").index
         at[gaps] = np.maximum(at[gaps], _LEAST_SLOPE)
         job = _touched_off(self, jnp.asarray(at), _SMOOTH_CORNER)
-        known, command = JobKinematics(job), jnp.asarray(commanded)
-        joints, _ = known.joints(command)
-        motors = known.motor_positions_from_joints(joints)
-        slopes = known.motor_slopes(joints, command)
-        run = Solution.of_command(job, rigid, command, FrozenStock(), motors)
-        assert run.joint_positions is not None and run.motor_positions is not None
+        command = jnp.asarray(commanded)
+        run = Solution.of_command(job, rigid, command, FrozenStock())
         force = self._force_columns(x, force_slopes)
-        seen = _DrivenRun(
-            motors,
-            slopes,
-            run.joint_positions,
-            run.motor_positions,
-            run.wall_share,
-            force,
-        )
-        tip, arm = _columns(self, job, jnp.asarray(at), seen)
+        around = DrivenRun.of(job, run)
+        tip, arm = _columns(self, job, jnp.asarray(at), around, force)
         tip, arm = np.array(tip), np.array(arm)
         here = self._deviations(x, rigid, command)
         for k in self._with_corners():
@@ -467,29 +456,13 @@ def _touched_off(machine: AdaptableMachine, x: Array, corner: float) -> Job:
     return dataclasses.replace(machine.base, **found._asdict())
 
 
-class _DrivenRun(eqx.Module):
-    """A run about which slopes are taken.
-
-    Attributes:
-        motors: Commanded motors, before the controller [rad or m], shape (step, joint).
-        slopes: Slopes of them in the commanded tip, shape (step, joint, 3).
-        joints: Where the joints are [rad or m], shape (step, joint).
-        driven: Motors behind the controller [rad or m], shape (step, joint).
-        wall_share: When in each period the wall is made, shape (step,).
-        force: Slopes of the force in the parameters [N], shape (step, 3, parameter).
-    """
-
-    motors: Float[Array, "step joint"]
-    slopes: Float[Array, "step joint 3"]
-    joints: Float[Array, "step joint"]
-    driven: Float[Array, "step joint"]
-    wall_share: Float[Array, " step"]
-    force: Float[Array, "step 3 parameter"]
-
-
 @eqx.filter_jit
 def _columns(
-    machine: AdaptableMachine, job: Job, x: Array, around: _DrivenRun
+    machine: AdaptableMachine,
+    job: Job,
+    x: Array,
+    around: DrivenRun,
+    force: Float[Array, "step 3 parameter"],
 ) -> tuple[Float[Array, "step 3 parameter"], Float[Array, "step 3 parameter"]]:
     """Slopes of the tip in all parameters but those of the field, and of the arm.
 
@@ -498,6 +471,7 @@ def _columns(
         job: The job at its parameters, with round corners.
         x: These.
         around: The run.
+        force: Slopes of its force in the parameters [N], shape (step, 3, parameter).
     """
     motors, joints = around.motors, around.joints
     desired, period = jnp.asarray(job.path.positions), job.tooth_period
@@ -517,7 +491,7 @@ def _columns(
     R, robot = jnp.asarray(job.T_base_work)[:3, :3], job.robot
     assert robot is not None
     J = jax.vmap(lambda q: jacobian(robot, q)[:3])(joints)
-    torque = torque + jnp.einsum("kbj,ba,kap->kjp", J, R, around.force)
+    torque = torque + jnp.einsum("kbj,ba,kap->kjp", J, R, force)
     problem = MachiningProblem.of(job, FrozenStock())
     assert problem.machine is not None
     command = jnp.concatenate([motors, jnp.zeros_like(motors)], axis=1)

@@ -60,6 +60,17 @@ class Stacked(NamedTuple):
         variance = [s.variance / w for s, w in zip(seen, weights, strict=True)]
         return cls(seen, np.argsort(time, kind="stable"), np.concatenate(variance))
 
+    @property
+    def direction(self) -> Float[np.ndarray, "observation 3"]:
+        """Directions of all observations."""
+        return np.concatenate([s.direction for s in self.seen])
+
+    @property
+    def is_force(self) -> Bool[np.ndarray, " observation"]:
+        """True for observations of forces."""
+        kinds = [np.full(len(s.time), s.observed == "force") for s in self.seen]
+        return np.concatenate(kinds)
+
     def observations(self, chosen: Bool[np.ndarray, " observation"]) -> Observations:
         """Those chosen, as a filter takes them."""
         of = lambda name: np.concatenate([getattr(s, name) for s in self.seen])
@@ -102,11 +113,8 @@ def processes(stacked: Stacked, residual: np.ndarray) -> Processes:
     one direction each, and all axes share theirs. Forces have their own. A constant is
     none of its matters: touching off leaves one, which has a parameter.
     """
-    direction = np.concatenate([s.direction for s in stacked.seen])
+    direction, is_force = stacked.direction, stacked.is_force
     time = np.concatenate([s.time for s in stacked.seen])
-    is_force = np.concatenate(
-        [np.full(len(s.time), s.observed == "force") for s in stacked.seen]
-    )
     found, all_chosen, none, of_tip = [], [], 0.0, 0
     for kind in (False, True):
         own = is_force == kind
@@ -179,7 +187,7 @@ class Linearised(NamedTuple):
         residual: Whitened residual at the values, shape (observation,).
         prior: Prior that suits them.
         gain: How much more likely unknowns and process make what was seen than the
-            model without a process, logarithm.
+            model with set-ups of its own and without a process, logarithm.
     """
 
     unknowns: Float[np.ndarray, " unknown"]
@@ -210,6 +218,43 @@ class Linearised(NamedTuple):
         return np.linalg.inv(W.T @ W + self.slopes.T @ self.slopes)
 
 
+class SetUp(NamedTuple):
+    """What the set-ups of measurements leave open, where the model is right.
+
+    Attributes:
+        found: In units of their priors, shape (nuisance,).
+        evidence: Log likelihood of what was seen with them, and without a process.
+    """
+
+    found: Float[np.ndarray, " nuisance"]
+    evidence: float
+
+    @classmethod
+    def fitted(
+        cls, stacked: Stacked, of_model: np.ndarray, nuisance: np.ndarray
+    ) -> "SetUp":
+        """Set-ups that suit the model best, a constant of each observable aside.
+
+        Args:
+            stacked: The observations.
+            of_model: Residuals of the model [m or N], shape (observation,).
+            nuisance: Slopes in the set-ups, shape (observation, nuisance).
+        """
+        kinds = stacked.is_force, ~stacked.is_force
+        constants = [stacked.direction * own[:, None] for own in kinds]
+        count = nuisance.shape[1]
+        columns = np.concatenate([nuisance, *constants], axis=1)
+        weight = 1 / np.sqrt(stacked.variance)
+        prior = np.eye(count, columns.shape[1])
+        A = np.concatenate([columns * weight[:, None], prior])
+        b = np.concatenate([of_model * weight, np.zeros(count)])
+        found = np.linalg.lstsq(A, b, rcond=None)[0][:count]
+        M = nuisance * weight[:, None]
+        volume = np.linalg.slogdet(np.eye(count) + M.T @ M)[1]
+        none = processes(stacked, of_model - nuisance @ found).none
+        return cls(found, none - 0.5 * (found @ found + volume))
+
+
 class Unknowns(NamedTuple):
     """What the observations depend on, linearly about some values.
 
@@ -226,7 +271,7 @@ class Unknowns(NamedTuple):
     prior: Callable[[np.ndarray, np.ndarray], Prior]
 
     def linearised(
-        self, stacked: Stacked, residual: np.ndarray, of_model: np.ndarray
+        self, stacked: Stacked, residual: np.ndarray, model: SetUp
     ) -> Linearised:
         """Least squares with process and prior of the largest marginal likelihood.
 
@@ -237,9 +282,8 @@ class Unknowns(NamedTuple):
         Args:
             stacked: The observations.
             residual: Of them at the values [m or N].
-            of_model: The same of the model.
+            model: What set-ups explain where the model is right.
         """
-        none = processes(stacked, of_model).none
         large = processes(stacked, residual)
         rows = np.concatenate([residual[:, None], self.columns], axis=1)
         tried = []
@@ -250,7 +294,7 @@ class Unknowns(NamedTuple):
                 prior = self.prior(M, r + M @ self.at)
                 away = r + M @ (self.at - prior.mean)
                 evidence = prior.gain - 0.5 * (away @ away + white.log_determinant)
-                gain = float(evidence - none)
+                gain = float(evidence - model.evidence)
                 tried.append(Linearised(self.at, M, r, prior, gain))
                 change = tried[-1].solved(self.lower) - self.at
                 found = processes(stacked, residual - self.columns @ change)

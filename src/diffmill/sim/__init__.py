@@ -47,6 +47,7 @@ from ._job.simulate import (
 )
 from ._job.stack import stack as stack
 from ._linear.drive_torques import drive_torques as drive_torques
+from ._linear.driven_run import DrivenRun as DrivenRun
 from ._linear.linear_run import LinearRun as LinearRun, linearise as linearise
 from ._machine._integrator.base import (
     ArmState as ArmState,

@@ -21,9 +21,9 @@ from ...settings.machine_errors import MachineErrorSettings
 from ...toolpath import contour_vector
 from .._job.simulate import Solution, job_machine, job_process
 from .._linear.drive_torques import drive_torques
+from .._linear.driven_run import DrivenRun
 from .._linear.linear_run import linearise
 from .._linear.period_slopes import CuttingMachine
-from .._machine.commands import JobKinematics
 from .machine_errors import POSITIVE, MachineErrors
 from .mismatched import nominal_robot
 
@@ -79,17 +79,7 @@ class MachineColumns(eqx.Module):
         mean.raise_unless_successful(middle)
         if sizes.backlash is not None:
             around = run(_with_round_gaps(middle))
-        assert around.joint_positions is not None
-        assert around.motor_positions is not None
-        known = JobKinematics(middle)
-        asked, _ = known.joints(commanded)
-        driven = DrivenRun(
-            known.motor_positions_from_joints(asked),
-            known.motor_slopes(asked, commanded),
-            around.joint_positions,
-            around.motor_positions,
-            around.wall_share,
-        )
+        driven = DrivenRun.of(middle, around)
         kept = np.flatnonzero(np.asarray(ravel_pytree(scatter.deviation)[0]))
         names = sizes.names(job)
         shift = _shifts(scatter, driven, jnp.asarray(kept))
@@ -136,24 +126,6 @@ class _Scatter(eqx.Module):
     def machine(self, x: Float[Array, " error"] | None) -> Job:
         """Job on the machine of some parameters, touched off."""
         return self.errors(x).machine_of(self.model, self.known, self.presliding)
-
-
-class DrivenRun(eqx.Module):
-    """A run about which slopes are taken.
-
-    Attributes:
-        motors: Commanded motors, before the controller [rad or m], shape (step, joint).
-        slopes: Slopes of them in the commanded tip, shape (step, joint, 3).
-        joints: Where the joints are [rad or m], shape (step, joint).
-        driven: Motors behind the controller [rad or m], shape (step, joint).
-        wall_share: When in each period the wall is made, shape (step,).
-    """
-
-    motors: Float[Array, "step joint"]
-    slopes: Float[Array, "step joint 3"]
-    joints: Float[Array, "step joint"]
-    driven: Float[Array, "step joint"]
-    wall_share: Float[Array, " step"]
 
 
 @eqx.filter_jit

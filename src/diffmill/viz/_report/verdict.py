@@ -112,7 +112,8 @@ def verdict(dataset: "xarray.Dataset", *, is_complete: bool = True) -> Verdict:
     text = f"{chatter}Largest contour error of the {label} path: {largest * 1e6:.3g} "
     text += f"{MICROMETRE}{_place(dataset, case)}."
     expected = dataset.attrs.get("expected_contour_error_rms_m")
-    model = _over_draws(dataset, case) or (
+    model = _over_draws(dataset, case) or _learnt_text(dataset)
+    model = model or (
         " All of it is predicted for a machine that is exactly as modelled"
         f"{_mismatch_text(dataset)}; [simulation] scatter or [correction.uncertainty] "
         "tell of one that is not."
@@ -217,6 +218,17 @@ def _cutting_error(dataset: "xarray.Dataset", case: str) -> np.ndarray:
         return np.zeros(0)
     error = np.abs(values_of(dataset, "contour_error", case))
     return error[cutting_of(dataset, case) & np.isfinite(error)]
+
+
+def _learnt_text(dataset: "xarray.Dataset") -> str:
+    """Sentence on the machine as measured parts have shown it; empty without any."""
+    expected = dataset.attrs.get("learnt_expected_rms")
+    if expected is None:
+        return ""
+    return (
+        " It is predicted for the machine as measured parts show it; with what they do "
+        f"not tell of it {float(expected) * 1e6:.3g} {MICROMETRE} rms are expected."
+    )
 
 
 def _over_draws(dataset: "xarray.Dataset", case: str) -> str:
