@@ -100,7 +100,7 @@ class LoadTest(AbstractTrial):
 
 
 class Advice(NamedTuple):
-    """What a trial would tell.
+    """Error that a trial would leave unknown.
 
     Attributes:
         name: Name of the trial; empty for none.

@@ -265,7 +265,9 @@ def learn(
     return dataclasses.replace(found, correction=correction)
 
 
-def _told_by(measurements: Sequence[AbstractMeasurement]) -> tuple[str, ...]:
+def _identifiable_groups(
+    measurements: Sequence[AbstractMeasurement],
+) -> tuple[str, ...]:
     """Groups of parameters that some measurements may tell apart.
 
     Points of walls see one direction each, a few for all that the drives do: what they
@@ -300,7 +302,7 @@ class _Search:
         else:
             machine = AdaptableMachine.of_job(job, prior)
             seen = [one for part in parts for one in part.measurements]
-            self.machine = machine.with_free(_told_by(seen))
+            self.machine = machine.with_free(_identifiable_groups(seen))
             self.center = np.zeros(self.machine.count)
             self.start = self.machine.start
         base = self.machine.base
@@ -399,7 +401,7 @@ class _Search:
         return unknowns.linearised(stacked, residual, self.set_up_alone())
 
     def set_up_alone(self) -> SetUp:
-        """What the set-ups of the measurements explain of the model, and no machine."""
+        """Set-ups that suit the measurements best where the machine is as modelled."""
         residuals = self.residuals(self.center, np.zeros(len(self.set_up)))
         stacked = Stacked.of(self.seen, self.weights)
         return SetUp.fitted(stacked, np.concatenate(residuals), self.nuisance())

@@ -44,7 +44,7 @@ class MachinePosterior(eqx.Module):
 
     @classmethod
     def of_prior(cls, job: Job, prior: MachinePrior) -> "MachinePosterior":
-        """What is known before any part: the model, and how far it may be off.
+        """Posterior of no part: the model, and how far it may be off.
 
         Args:
             job: The job, in its precision.

@@ -219,7 +219,7 @@ class Linearised(NamedTuple):
 
 
 class SetUp(NamedTuple):
-    """What the set-ups of measurements leave open, where the model is right.
+    """Set-ups of measurements that suit a model without another machine.
 
     Attributes:
         found: In units of their priors, shape (nuisance,).
@@ -256,7 +256,7 @@ class SetUp(NamedTuple):
 
 
 class Unknowns(NamedTuple):
-    """What the observations depend on, linearly about some values.
+    """Parameters and set-ups on which observations depend, linearly about values.
 
     Attributes:
         at: The values: free parameters, then what set-ups leave open.

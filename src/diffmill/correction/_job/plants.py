@@ -205,7 +205,7 @@ def with_smooth_drives(job: Job) -> Job:
 
 
 def _sticks(robot: Robot) -> bool:
-    """Whether joints of a robot stick."""
+    """True if joints of a robot stick."""
     return robot.friction is not None and robot.friction.presliding is not None
 
 

@@ -180,7 +180,7 @@ class MachineErrors(eqx.Module):
         return robot
 
     def _registered(self, known: NominalRobot) -> NominalRobot:
-        """What the controller knows, with the probes where they are on the part."""
+        """Robot and work as the controller knows them, probes where the part is."""
         if self.registration is None:
             return known
         probes = jnp.asarray(known.probes)
