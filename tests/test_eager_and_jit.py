@@ -928,6 +928,7 @@ LEFT_OUT = {
         "learning.*",
         "sim.drawn_machine",
         "sim.TrueErrors.*",
+        "sim.DrivenRun.*",
         "sim.error_band",
         "sim.mismatch",
         "sim.simulate_with_slot_growth",
