@@ -13,6 +13,7 @@ sys.path.append(str(HERE.parent / "common"))
 GROUPS = (
     "first",
     "step",
+    "flags",
     "deep",
     "linear",
     "lengths",

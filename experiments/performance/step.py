@@ -22,17 +22,17 @@ FASTER = {"float64": 20, "float32": 30}
 
 def measure(report):
     """Time runs in both precisions, and a gradient beside its run."""
+    with jax.enable_x64(True):
+        coupled(report, example_rows("float64"), has_gradient=True)
+    with jax.enable_x64(False):
+        coupled(report, example_rows("float32"))
+
+
+def example_rows(precision):
+    """Return the small example with some of its rows, in a precision."""
     job = load_example("paper_small")
     rows = jax.tree.map(lambda x: np.asarray(x)[FIRST : FIRST + ROWS], job.path)
     job = tree_at(lambda j: j.path, job, rows)
-    with jax.enable_x64(True):
-        coupled(report, of_precision(job, "float64"), has_gradient=True)
-    with jax.enable_x64(False):
-        coupled(report, of_precision(job, "float32"))
-
-
-def of_precision(job, precision):
-    """Return a job whose numbers have a precision."""
     settings = replace(job.simulation, precision=precision)
     return replace(job, simulation=settings).with_precision()
 

@@ -13,8 +13,16 @@ import tempfile
 # Folder of traced programs within that of compiled ones.
 PROGRAMS = "programs"
 # The newer emitters of fused loops compile a third longer, for code that is no faster.
-# An unknown flag ends a process, so it is set only where it is known.
-_FAST_COMPILING, _KNOWN = "--xla_cpu_use_fusion_emitters=false", "0.10."
+# A tooth period is hundreds of operations of under a microsecond: handing them out one
+# by one takes as long as they do. Loops over so few bytes become one function each,
+# which fusions of the library YNN cannot be part of.
+# An unknown flag ends a process, so they are set only where they are known.
+_FLAGS = (
+    "--xla_cpu_use_fusion_emitters=false",
+    "--xla_cpu_experimental_ynn_fusion_type=",
+    "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=10000000",
+)
+_KNOWN = "0.10."
 
 
 def configure_jax(precision: str = "float64") -> str:
@@ -74,10 +82,10 @@ def use_compile_cache(folder: str | os.PathLike[str] | None = None) -> str:
     # other. SciPy's library, which XLA calls, is loaded at the first of them.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     if jax.__version__.startswith(_KNOWN):
-        given = os.environ.get("XLA_FLAGS", "")
-        if _FAST_COMPILING not in given:
-            # What is given counts: the last of two flags does.
-            os.environ["XLA_FLAGS"] = f"{_FAST_COMPILING} {given}"
+        given = os.environ.get("XLA_FLAGS", "").split()
+        # What is given counts: the last of two flags does.
+        new = [flag for flag in _FLAGS if flag not in given]
+        os.environ["XLA_FLAGS"] = " ".join([*new, *given])
     named = os.environ.get("JAX_COMPILATION_CACHE_DIR") if folder is None else folder
     place = str(cache_folder() if not named else named)
     # A store of another kind, such as a bucket, is none that we can look into.

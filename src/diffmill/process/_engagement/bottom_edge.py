@@ -22,7 +22,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ...cutter import AbstractCutter
 from ...numerics import Rematerialised, clamp, with_derivative_of
-from ...workpiece import Pose, PoseTrack
+from ...workpiece import Pose, PoseTrack, Rays
 from .._chip import (
     RadialDirection,
     displacement_norm,
@@ -108,26 +108,22 @@ class BottomEdges(eqx.Module):
         for i in (0, 1):
             for j in (0, 1):
                 u, v = cell[0] + i, cell[1] + j
-                ends = rays.ends[u, v]
+                top = tip[..., 2] + engagement.discs.band
+                at, is_on = _highest_below(rays, u, v, jax.lax.stop_gradient(top))
+                end, poses = rays.ends_at(at)
                 if track is not None:
-                    poses = Rematerialised.read(rays.poses[u, v])
-                    frozen, place = jax.lax.stop_gradient(ends), rays.places(u, v)
+                    poses = Rematerialised.read(poses)
                     x, y = (
                         stock.origin[a] + stock.spacing * line.astype(now.dtype)
-                        for a, line in enumerate(
-                            (u[..., None, None], v[..., None, None])
-                        )
+                        for a, line in enumerate((u, v))
                     )
-                    ends = with_derivative_of(
-                        frozen, _ends_from_poses, track, cutter, place, poses, x, y
+                    frozen = jax.lax.stop_gradient(end)
+                    end = with_derivative_of(
+                        frozen, _ends_from_poses, track, cutter, at, poses, x, y
                     )
-                ends = Rematerialised.read(ends)
-                low, high = ends[..., 0, :], ends[..., 1, :]
-                # Material that begins above the bottom is not on it.
-                is_on = (high > low) & (low < tip[..., 2:] + engagement.discs.band)
+                end = Rematerialised.read(end)
                 # Where there is none, the whole end is clear of it.
-                above = jnp.where(is_on, high - tip[..., 2:], -cutter.nominal_radius)
-                above = above.max(axis=-1)
+                above = jnp.where(is_on, end - tip[..., 2], -cutter.nominal_radius)
                 # What the corner has passed less than the lag ago still stands.
                 above = jnp.where(
                     back < engagement.removal_lag, jnp.minimum(above, descent), above
@@ -202,17 +198,39 @@ def _radius(cutter: AbstractCutter, dtype: jnp.dtype) -> Float[Array, ""]:
     return jnp.asarray(cutter.diameter, dtype) / 2
 
 
+def _highest_below(
+    rays: Rays,
+    u: Int[Array, "*place"],
+    v: Int[Array, "*place"],
+    top: Float[Array, "*#place"],
+) -> tuple[Int[Array, "*place"], Bool[Array, "*place"]]:
+    """Highest upper ends of columns, of material that begins below a height.
+
+    Returns:
+        Where they stand in memory, and whether there are any, of shape (...).
+    """
+    ends = jax.lax.stop_gradient(rays.ends[u, v])
+    low, high = ends[..., 0, :], ends[..., 1, :]
+    is_on = (high > low) & (low < top[..., None])
+    slot = jnp.argmax(jnp.where(is_on, high, -jnp.inf), axis=-1, keepdims=True)
+    upper = rays.places(u, v)[..., 1, :]
+    return (
+        Rematerialised.read(jnp.take_along_axis(upper, slot, axis=-1)[..., 0]),
+        Rematerialised.read(jnp.any(is_on, axis=-1)),
+    )
+
+
 def _ends_from_poses(
     track: PoseTrack,
     cutter: AbstractCutter,
-    place: Int[Array, "*place 2 slot"],
-    poses: Int[Array, "*place 2 slot"],
-    x: Float[Array, "*place 1 1"],
-    y: Float[Array, "*place 1 1"],
-) -> Float[Array, "*place 2 slot"]:
+    at: Int[Array, "*place"],
+    poses: Int[Array, "*place"],
+    x: Float[Array, "*place"],
+    y: Float[Array, "*place"],
+) -> Float[Array, "*place"]:
     """Return ends of columns that follow from their poses: the cutter's end there."""
     height = track.floor_by(poses, cutter, x, y)
-    return jnp.where(poses >= 0, height, track.raw_ends(2, place, poses))
+    return jnp.where(poses >= 0, height, track.raw_ends(2, at, poses))
 
 
 def _by_annulus(outward: RadialDirection) -> RadialDirection:

@@ -5,14 +5,13 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import jax.scipy.linalg as jsl
 from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float
 
 from .._algebra.spatial import sum_rows
 from .._model.robot import JointVector, Robot, Wrench, joint_vector, wrench_vector
 from .aba import articulated_bodies, check_algorithm
-from .mass_inverse import factor, refuse_singular, spd_inverse
+from .mass_inverse import refuse_singular, spd_inverse
 from .rnea import inverse_dynamics
 from .rnea_derivatives import rnea_derivatives
 from .terms import ArmTerms
@@ -76,7 +75,7 @@ def _solve(
         return articulated_bodies(robot, q, qd, tau, wrench)
     terms = ArmTerms.of_state(robot, q, qd)
     load = tau + terms.jacobian.T @ wrench - terms.bias_forces
-    return jsl.cho_solve((factor(terms.mass_matrix), True), load)
+    return spd_inverse(terms.mass_matrix) @ load
 
 
 @functools.partial(_solve.defjvp, symbolic_zeros=True)

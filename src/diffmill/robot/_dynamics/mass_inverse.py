@@ -5,10 +5,9 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import jax.scipy.linalg as jsl
 import numpy as np
 from jax.core import Tracer
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from .._algebra.spatial import sum_rows
 from .._model.robot import Robot
@@ -21,10 +20,14 @@ def factor(mass_matrix: Float[Array, "joint joint"]) -> Float[Array, "joint join
     acceleration of its own: a factor would exist, by luck of the last digits.
     """
     L = jnp.linalg.cholesky(mass_matrix)
-    M_ii = jnp.diagonal(mass_matrix)
-    floor = 8 * mass_matrix.shape[0] * jnp.finfo(mass_matrix.dtype).eps
-    is_regular = jnp.all(jnp.diagonal(L) ** 2 > floor * M_ii)
+    is_regular = jnp.all(jnp.diagonal(L) ** 2 > _least_pivots(mass_matrix))
     return jnp.where(is_regular, L, jnp.nan)
+
+
+def _least_pivots(mass_matrix: Float[Array, "joint joint"]) -> Float[Array, " joint"]:
+    """Pivots down to which a matrix is regular."""
+    floor = 8 * mass_matrix.shape[0] * jnp.finfo(mass_matrix.dtype).eps
+    return floor * jnp.diagonal(mass_matrix)
 
 
 def refuse_singular(
@@ -56,14 +59,29 @@ def spd_inverse(
     A step that multiplies with it often is cheaper than one that solves. Derivatives
     are two products, not those of a factor and its solutions.
 
+    Gauss and Jordan's elimination: its pivots are the squares of Cholesky's diagonal,
+    so that none has to be sought. A call of LAPACK within a scan would keep XLA from
+    making one kernel of the whole scan.
+
     Args:
         matrix: Such as M + diag(d) [kg m^2], shape (joint, joint).
 
     Returns:
         The inverse; not a number where the matrix is singular to rounding.
     """
-    eye = jnp.eye(matrix.shape[0], dtype=matrix.dtype)
-    return jsl.cho_solve((factor(matrix), True), eye)
+    count, floor = matrix.shape[0], _least_pivots(matrix)
+    rows = jnp.concatenate([matrix, jnp.eye(count, dtype=matrix.dtype)], axis=1)
+    index = jnp.arange(count)
+
+    def eliminate(
+        k: Int[Array, ""], rows: Float[Array, "joint both"]
+    ) -> Float[Array, "joint both"]:
+        own = rows[k]
+        own = own / jnp.where(own[k] > floor[k], own[k], jnp.nan)
+        cleared = rows - rows[:, k][:, None] * own[None]
+        return jnp.where((index == k)[:, None], own[None], cleared)
+
+    return jax.lax.fori_loop(0, count, eliminate, rows)[:, count:]
 
 
 @spd_inverse.defjvp

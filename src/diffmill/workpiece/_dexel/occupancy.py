@@ -376,11 +376,16 @@ def _with_column_derivatives(
 def _column_ends(
     cutter: AbstractCutter, columns: _Columns, track: PoseTrack
 ) -> Float[Array, "2 slot 9 disc point"]:
-    """Ends of columns that follow from their poses: the cutter's end there [m]."""
+    """Ends of columns that follow from their poses: the cutter's end there [m].
+
+    An upright tool takes all that is above it, so that lower ends are those of the raw
+    stock.
+    """
     x, y = columns.across[0], columns.across[1]
-    height = track.floor_by(columns.poses, cutter, x, y)
-    raw = track.raw_ends(2, columns.at, columns.poses)
-    return jnp.where(columns.poses >= 0, height, raw)
+    upper = columns.poses[1:]
+    height = track.floor_by(upper, cutter, x, y)
+    low, high = jnp.split(track.raw_ends(2, columns.at, columns.poses), 2)
+    return jnp.concatenate([low, jnp.where(upper >= 0, height, high)])
 
 
 def _with_wall_derivatives(

@@ -15,6 +15,7 @@ from jaxtyping import Array, Bool, Float, Int
 from ..._types import RealScalarLike
 from .._memory import StockMemory
 from .._mesh.mesh import Mesh
+from .._pose import gathered_rows
 
 # A point as users pass it.
 Point: TypeAlias = (
@@ -67,6 +68,16 @@ class Rays(eqx.Module):
         own = jnp.arange(2 * slots, dtype=jnp.int32)
         own = own.reshape((1,) * ray.ndim + (2, slots))
         return ray[..., None, None] + own
+
+    def ends_at(
+        self, at: Int[Array, "*end"]
+    ) -> tuple[Float[Array, "*end"], Int[Array, "*end"]]:
+        """Ends at some indices in memory [m], and the ticks of their cuts.
+
+        **Differentiability**: linear in the ends.
+        """
+        ends, ticks = self.ends.reshape(-1), self.poses.reshape(-1)
+        return gathered_rows(ends, at), gathered_rows(ticks, at)
 
     def slots_in_use(self) -> Int[Array, ""]:
         """Number of slots that hold an interval on any ray, from the first on, ()."""

@@ -87,9 +87,11 @@ class PoseTrack(eqx.Module):
         **Differentiability**: in the poses and the cutter's sizes.
         """
         if cutter.has_dish:
-            # Reverse mode keeps the tips that are read, and no table of all poses.
-            tip = Rematerialised.read(self.cut_by(ticks).tip)
-            return cutter.intersect(2, x, y, tip).start
+            tip = self.cut_by(ticks).tip
+            # Reverse mode keeps what slopes depend on, and no table of all poses.
+            across = Rematerialised.read(tip[..., :2])
+            level = jnp.pad(across, [(0, 0)] * (across.ndim - 1) + [(0, 1)])
+            return cutter.intersect(2, x, y, level).start + tip[..., 2]
         return self._between(self.poses.tip[:, 2:], ticks)[..., 0]
 
     def raw_ends(

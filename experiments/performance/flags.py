@@ -1,0 +1,98 @@
+"""A run and a gradient with small loops as functions, and as lists of operations.
+
+Flags count for a whole process. So two processes compile the same programs, and take
+turns; what is compared is their processor time.
+"""
+
+import os
+import pathlib
+import statistics
+import subprocess
+import sys
+import time
+
+# Parts of the flags that `use_compile_cache` sets beside that of compiling.
+SMALL_LOOPS = ("small_while_loop", "ynn_fusion")
+ROUNDS, RUNS = 9, 3
+
+
+def measure(report):
+    """Time both programs in two processes that differ by their flags."""
+    ours = os.environ["XLA_FLAGS"]
+    plain = " ".join(
+        flag for flag in ours.split() if not any(part in flag for part in SMALL_LOOPS)
+    )
+    for program in ("run", "gradient"):
+        processes = [Worker(program, flags) for flags in (plain, ours)]
+        rounds = [[worker.seconds() for worker in processes] for _ in range(ROUNDS)]
+        ratio = statistics.median(after / before for before, after in rounds)
+        before, after = (worker.compiling for worker in processes)
+        report.say(f"  {program}: compiled in {before:.1f} and {after:.1f} s")
+        report.figure(f"{program} with small loops, over without", ratio, 0.9, "x")
+        for worker in processes:
+            worker.end()
+
+
+class Worker:
+    """Process that has compiled a program, and runs it when it is asked to."""
+
+    def __init__(self, program, flags):
+        """Begin to compile; return when that is done."""
+        command = [sys.executable, __file__, program]
+        environment = {**os.environ, "XLA_FLAGS": flags, "NPROC": "1"}
+        pipe = subprocess.PIPE
+        self._process = subprocess.Popen(
+            command, env=environment, stdin=pipe, stdout=pipe, text=True
+        )
+        self.compiling = self._read()
+
+    def seconds(self):
+        """Return the processor time of a few runs [s]."""
+        self._process.stdin.write("again\n")
+        self._process.stdin.flush()
+        return self._read()
+
+    def end(self):
+        """End the process."""
+        self._process.communicate()
+
+    def _read(self):
+        return float(self._process.stdout.readline())
+
+
+def serve(program):
+    """Compile a program, then run it for every line that comes in."""
+    start = time.process_time()
+    run = compiled(program)
+    run()
+    print(time.process_time() - start, flush=True)
+    for _ in sys.stdin:
+        start = time.process_time()
+        for _ in range(RUNS):
+            run()
+        print(time.process_time() - start, flush=True)
+
+
+def compiled(program):
+    """Return the compiled program: the run of some rows, or its gradient."""
+    import jax
+    import jax.numpy as jnp
+
+    from diffmill import process, sim
+    from step import example_rows
+
+    jax.config.update("jax_enable_x64", True)
+    job = example_rows("float64")
+    is_run = program == "run"
+    adjoint = process.FrozenStock() if is_run else process.ThroughPoses()
+    problem = sim.MachiningProblem.of(job, adjoint)
+    motors = sim.JobKinematics(job).motors(jnp.asarray(job.path.positions))[0]
+    ends = lambda x: problem.machine.run(problem.process, x).ends
+    loss = lambda x: 1e6 * jnp.sum(ends(x)[:, -1] ** 2)
+    whole = jax.jit(ends if is_run else jax.grad(loss)).lower(motors).compile()
+    return lambda: jax.block_until_ready(whole(motors))
+
+
+if __name__ == "__main__":
+    sys.path.append(str(pathlib.Path(__file__).parents[1] / "common"))
+    serve(sys.argv[1])
