@@ -1,7 +1,8 @@
 """The linearly implicit midpoint rule for an arm on its drives."""
 
+from collections.abc import Callable
+
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -114,8 +115,8 @@ class Midpoint(AbstractIntegrator):
         if prepared.inverse is not None:
             dv = prepared.inverse @ push
         else:
-            A = prepared.terms.mass_matrix + jnp.diag(drive.diagonal)
-            dv = _braked(robot, A, push, state, h, s)
+            inverse = lambda d: prepared.terms.augmented_inverse(drive.diagonal + d)
+            dv = _braked(robot, inverse, push, state, h, s)
         z = state.bristles
         if z is not None and robot.friction is not None:
             z = robot.friction.moved_bristles(z, h * (v + w * dv))
@@ -187,18 +188,20 @@ def _condensed(
 
 def _braked(
     robot: Robot,
-    A: Float[Array, "joint joint"],
+    inverse: Callable[[Float[Array, " joint"]], Float[Array, "joint joint"]],
     push: Float[Array, " joint"],
     state: ArmState,
     h: Float[Array, ""],
     ahead: Float[Array, ""] | Float[Array, " joint"],
 ) -> Float[Array, " joint"]:
-    """Return dv with friction: a few times a brake that acts as it would."""
-    solve = lambda A, b: jax.scipy.linalg.cho_solve((jnp.linalg.cholesky(A), True), b)
-    if robot.friction is None:
-        return solve(A, push)
+    """Return dv with friction: a few times a brake that acts as it would.
+
+    `inverse` returns (A + diag(d))^-1 of the slopes d of the brakes.
+    """
     dv = jnp.zeros_like(state.v)
+    if robot.friction is None:
+        return inverse(dv) @ push
     for _ in range(_BRAKE_STEPS):
         brake = robot.friction.brake(state.bristles, state.v, dv, h, ahead)
-        dv = solve(A + jnp.diag(brake.slope), push - brake.impulse)
+        dv = inverse(brake.slope) @ (push - brake.impulse)
     return dv
