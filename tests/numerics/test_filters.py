@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from scipy.signal import butter, sosfiltfilt
 
 from diffmill.numerics import lowpass
 
@@ -29,6 +30,17 @@ def test_constant_and_ramp_pass_unchanged():
     filtered = lowpass(signal, RATE, 100.0)
     np.testing.assert_allclose(filtered[:, 0], 7.0, rtol=1e-9)
     np.testing.assert_allclose(filtered[700:1300], signal[700:1300], atol=1e-7)
+
+
+@pytest.mark.parametrize("cutoff", [10.0, 100.0, 800.0])
+def test_a_record_with_steps_is_filtered_as_by_scipy(cutoff):
+    signal = np.random.default_rng(1).normal(size=(6001, 3)).cumsum(axis=0)
+    sections = butter(4, cutoff, fs=RATE, output="sos")
+    length = int(12 * RATE / cutoff)
+    wanted = sosfiltfilt(sections, signal, axis=0, padlen=length)
+    largest = np.abs(wanted).max()
+    filtered = lowpass(signal, RATE, cutoff)
+    np.testing.assert_allclose(filtered, wanted, rtol=0, atol=1e-9 * largest)
 
 
 def test_short_signal_is_filtered_too():

@@ -51,7 +51,6 @@ _LATE_IMPORTS = (
     "h5netcdf",
     "matplotlib.figure",
     "matplotlib.backends.backend_agg",
-    "scipy.signal",
     "scipy.spatial",
 )
 
