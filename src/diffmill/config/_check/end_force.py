@@ -3,11 +3,12 @@
 import math
 from typing import TYPE_CHECKING, NamedTuple
 
-import jax.numpy as jnp
+import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
 from ..._job import Job
+from ..._padding import pad_rows, padded_count
 from ...cutter import AbstractCutter
 from ...robot import cartesian_compliance
 from ...toolpath import Path
@@ -170,7 +171,8 @@ def end_force(
     every = max(1, round(_COARSE * radius / stock.spacing))
     tops = tops[::every, ::every].copy()
     pitch = every * stock.spacing
-    x, y = (float(stock.origin[a]) + pitch * np.arange(tops.shape[a]) for a in range(2))
+    origin = np.asarray(stock.origin, np.float64)
+    x, y = (origin[a] + pitch * np.arange(tops.shape[a]) for a in range(2))
     found, layers, shares = [], [], []
     for k in np.nonzero(tips[1:, 2] < stock.top)[0] + 1:
         tip, old = tips[k], tips[k - 1]
@@ -198,11 +200,12 @@ def end_force(
     if any(map(len, found)):
         pose, h = np.concatenate(found), np.concatenate(layers)
         tooth = np.arange(len(h), dtype=np.int32) % cutter.flute_count
-        _, F_r, _ = bottom_law.force_per_width(
-            jnp.asarray(h), jnp.ones(h.shape), jnp.asarray(tooth)
-        )
+        # One program for many lengths, not one for each and each operation.
+        padded = padded_count(len(h))
+        samples = (pad_rows(x, padded) for x in (h, np.ones(h.shape), tooth))
+        F_r = eqx.filter_jit(bottom_law.force_per_width)(*samples)[1]
         width = np.concatenate(shares) * cutter.flute_count / (2 * math.pi)
-        np.add.at(force, pose, width * np.asarray(F_r))
+        np.add.at(force, pose, width * np.asarray(F_r)[: len(h)])
     period = float(path.time[-1] - path.time[0]) / (path.step_count - 1)
     # On the level the width of the columns leaves a little to the end.
     falls = np.diff(tips[:, 2], prepend=tips[0, 2]) < -_LEAST_LAYER

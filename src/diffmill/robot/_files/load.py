@@ -7,9 +7,9 @@ from importlib import resources
 from pathlib import Path
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 
+from ..._arrays import on_device
 from ..._toml import parse_toml
 from .._model.build import build
 from .._model.robot import Robot
@@ -95,7 +95,7 @@ def load(
     except ValueError as error:
         raise RobotFileError(f"{file}: {error}") from error
     _warn(robot, description.notes, file)
-    gravity = jnp.asarray(mounted.base.T, robot.dtype) @ robot.gravity
+    gravity = on_device(mounted.base.T.astype(robot.dtype) @ np.asarray(robot.gravity))
     return eqx.tree_at(lambda r: r.gravity, robot, gravity)
 
 

@@ -7,11 +7,12 @@ never see this, and the algorithms need no axis.
 
 import dataclasses
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
+from ..._arrays import on_device
 from .elements import (
     AbstractElement,
     Drive,
@@ -91,21 +92,21 @@ def build(
     placements = np.stack(walk.placements)
     mimics = _resolve_mimics(walk.joints)
     joints = [j for j in walk.joints if j.mimic is None]
-    column = lambda field: jnp.asarray([float(getattr(j, field)) for j in joints])
+    column = lambda field: _array([float(getattr(j, field)) for j in joints])
     robot = Robot(
-        placement_rotations=jnp.asarray(placements[:, :3, :3]),
-        placement_positions=jnp.asarray(placements[:, :3, 3]),
-        link_masses=jnp.asarray(np.array([body.mass for body in bodies])),
-        link_centers=jnp.asarray(np.stack([body.center for body in bodies])),
-        link_inertias=jnp.asarray(np.stack([body.inertia for body in bodies])),
-        T_joint_flange=jnp.asarray(flange.frame),
-        T_flange_tool=jnp.asarray(flange.tool),
+        placement_rotations=_array(placements[:, :3, :3]),
+        placement_positions=_array(placements[:, :3, 3]),
+        link_masses=_array([body.mass for body in bodies]),
+        link_centers=_array([body.center for body in bodies]),
+        link_inertias=_array([body.inertia for body in bodies]),
+        T_joint_flange=_array(flange.frame),
+        T_flange_tool=_array(flange.tool),
         joint_stiffness=column("stiffness"),
         joint_damping=column("damping"),
         joint_lower=column("lower"),
         joint_upper=column("upper"),
         home=column("home"),
-        gravity=jnp.asarray(np.array(_GRAVITY)),
+        gravity=_array(_GRAVITY),
         name=name,
         joint_names=tuple(j.name for j in joints),
         body_kinds=tuple(
@@ -119,6 +120,11 @@ def build(
         joint_speed=column("speed"),
     )
     return _with_drive_options(robot, [j.drive for j in joints])
+
+
+def _array(values: Sequence[Any] | np.ndarray) -> Array:
+    """Numbers on the device."""
+    return on_device(np.asarray(values, float))
 
 
 def _visit(

@@ -507,7 +507,7 @@ def _check_drives(
     allowed: str,
 ) -> None:
     """Raise if a known value is wrong; traced values have none to look at."""
-    if not isinstance(is_allowed, Tracer) and not np.all(is_allowed):
+    if not isinstance(is_allowed, Tracer) and not np.asarray(is_allowed).all():
         raise ValueError(
             f"Argument `{name}` must be {allowed}, but is {np.asarray(values)}."
         )

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from ..._arrays import on_device
 from ...numerics import CachedJit
 from ...workpiece import CutInterval, Pose, Rays, Stock
 from .contact_depth import ContactTest, holder_depth, tool_depth
@@ -116,7 +117,7 @@ def columns_of(stock: Stock, finest: float, slot_count: int) -> Columns:
     dead = np.array([Rays.DEAD, -Rays.DEAD], ends.dtype)[None, None, :, None]
     dead = np.broadcast_to(dead, (*ends.shape[:3], more))
     return Columns(
-        jnp.asarray(np.concatenate([ends, dead], axis=-1)),
+        on_device(np.concatenate([ends, dead], axis=-1)),
         np.asarray(stock.origin, float)[:2],
         stride * stock.spacing,
     )

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from ..._arrays import on_device
 from ...cutter import AbstractCutter, EdgeElements
 from ...numerics import CachedJit
 from ...process import EdgeElementsInSpace, Process
@@ -55,7 +56,7 @@ def quick_slopes(
         at = kept[np.minimum(np.arange(chunks * _CHUNK), len(kept) - 1)]
         earlier = path[at.reshape(chunks, _CHUNK)]
         # What only fills the shape is not looked at.
-        count = jnp.asarray(math.ceil(len(kept) / _CHUNK), jnp.int32)
+        count = on_device(np.asarray(math.ceil(len(kept) / _CHUNK), np.int32))
         slopes = _slopes(process, earlier, count, path[int(row)], periods)
         slopes = np.asarray(slopes, np.float64)
         if process.cutter.has_even_pitch:

@@ -21,6 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from ..._arrays import on_device
 from ..._job import Job
 from ..._moving_rows import is_moving, step_lengths
 from ..._padding import padded_count
@@ -420,7 +421,7 @@ def _mean_about(
 
     deviation = np.asarray(actual) - np.asarray(command)
     mean = uniform_filter1d(deviation, _MEAN, axis=0, mode="nearest")
-    return command + jnp.asarray(mean, actual.dtype)
+    return on_device(np.asarray(command) + mean.astype(actual.dtype))
 
 
 def _poses(
@@ -471,9 +472,9 @@ def _linear(
     return linear_arms(
         machine.robot,
         jnp.asarray(machine.T_base_work),
-        jnp.asarray((motors[before] + motors[rows]) / 2),
-        jnp.asarray((joints[before] + joints[rows]) / 2),
-        jnp.asarray((joints[rows] - joints[before]) / T),
+        on_device((motors[before] + motors[rows]) / 2),
+        on_device((joints[before] + joints[rows]) / 2),
+        on_device((joints[rows] - joints[before]) / T),
     )
 
 

@@ -6,6 +6,7 @@ the tool goes along a smooth curve through them.
 """
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
@@ -106,7 +107,9 @@ class Replay(eqx.Module):
             The chip on the edge, without the flat end of the tool. Angles of a helical
             cutter are true to half a sample.
         """
-        part, engagement = self.path[: self.chip_row + 1], self.process.engagement
+        # Rows that are taken on the host compile nothing.
+        part = jax.tree.map(np.asarray, self.path)[: self.chip_row + 1]
+        engagement = self.process.engagement
         teeth, kept = self.process.cutter.flute_count, self.run.chips
         assert kept is not None
         last = np.arange(max(1, self.chip_row + 1 - teeth), self.chip_row + 1)
@@ -118,7 +121,8 @@ class Replay(eqx.Module):
         is_row = isinstance(engagement, EdgeElementsInSpace)
         first = engagement.profile.bottom if is_row else 0
         flat = lambda x: np.broadcast_to(x, shape).reshape(-1, shape[-1])[:, first:]
-        height = engagement.element_heights(self.process.cutter, part.tip.dtype)
+        heights = eqx.filter_jit(engagement.element_heights)
+        height = heights(self.process.cutter, part.tip.dtype)
         height = np.asarray(height, np.float64)[first:]
         left = _feed_normal_angle(part)
         starts = 2 * np.pi / teeth * (np.arange(teeth) + last[0] - 1) - left
@@ -160,6 +164,7 @@ def _actual_poses(job: Job, solution: Solution) -> Pose:
 
 def _feed_normal_angle(path: Pose) -> float:
     """Return the immersion angle on the left of the feed at the end of a path [rad]."""
-    frame = np.asarray(Pose.frame(path[-1].direction()), np.float64)
-    feed = (np.asarray(path.tip[-1] - path.tip[-2], np.float64)) @ frame
+    feed = np.asarray(path.tip[-1] - path.tip[-2], np.float64)
+    if path.axis is not None:
+        feed = feed @ np.asarray(Pose.frame(path.axis[-1]), np.float64)
     return float(np.arctan2(feed[0], feed[1])) - np.pi / 2

@@ -153,13 +153,7 @@ class Solution(eqx.Module):
         is_cutting = xp.any(xp.asarray(rigid.force) != 0, axis=1)
         has_failed = xp.asarray(ran.has_failed) | xp.asarray(rigid.has_failed)
         are_reached = on_device(xp.asarray(xp.all(xp.asarray(is_reached))))
-        # What a rigid cut that failed says of where the tool cuts would be wrong; what
-        # went wrong in a cut counts before what is not reached, which `is_reached`
-        # tells.
-        is_good = ran.result == RESULTS.successful
-        result = RESULTS.where(is_good, rigid.result, ran.result)
-        only_unreached = (result == RESULTS.successful) & ~are_reached
-        result = RESULTS.where(only_unreached, RESULTS.unreachable, result)
+        result = _outcome(ran.result, rigid.result, are_reached)
         return Solution(
             time=on_device(job.path.time),
             desired=on_device(job.path.positions),
@@ -315,6 +309,19 @@ def _checked(
             f"but has {np.shape(rows)}."
         )
     return on_device(rows if rows.dtype == dtype else rows.astype(dtype))
+
+
+# One program, not one for each of its operations.
+@jax.jit
+def _outcome(ran: RESULTS, rigid: RESULTS, are_reached: Bool[Array, ""]) -> RESULTS:
+    """Outcome of a run.
+
+    What a rigid cut that failed says of where the tool cuts would be wrong; what went
+    wrong in a cut counts before what is not reached, which `is_reached` tells.
+    """
+    result = RESULTS.where(ran == RESULTS.successful, rigid, ran)
+    only_unreached = (result == RESULTS.successful) & ~are_reached
+    return RESULTS.where(only_unreached, RESULTS.unreachable, result)
 
 
 class SolvedJob(NamedTuple):

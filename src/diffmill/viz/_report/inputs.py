@@ -75,7 +75,7 @@ def figure_inputs(
 def _surfaces(cases: Mapping[str, Solution]) -> dict[str, SurfaceError]:
     """Surface errors of cases, none where all was cut away."""
     ideal = next(iter(cases.values())).rigid.stock
-    if not bool(ideal.volume() > 0):
+    if not float(ideal.volume()) > 0:
         return {}
     stocks = [case.stock for case in cases.values()]
     errors = SurfaceError.of_stocks(stocks, ideal, leaves_out_raw=True)

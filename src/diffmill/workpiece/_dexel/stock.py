@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from ..._arrays import on_device
 from ..._types import RealScalarLike
 from .._memory import StockMemory
 from .._mesh.mesh import Mesh
@@ -320,7 +321,7 @@ def box(
         (np.arange(counts[a]) >= MARGIN) & (np.arange(counts[a]) < MARGIN + cells[a])
         for a in range(3)
     ]
-    dtype = jnp.zeros(()).dtype if dtype is None else jnp.dtype(dtype)
+    dtype = jnp.result_type(float) if dtype is None else jnp.dtype(dtype)
     families = []
     for f in range(3):
         b, c = (f + 1) % 3, (f + 2) % 3
@@ -330,10 +331,10 @@ def box(
         filled = inside[b][:, None] & inside[c][None, :]
         ends[filled, 0, 0], ends[filled, 1, 0] = low[f], high[f]
         raw = np.full(shape, -1, np.int32)
-        families.append(Rays(jnp.asarray(ends, dtype), jnp.asarray(raw)))
+        families.append(Rays(on_device(ends.astype(dtype)), on_device(raw)))
     return Stock(
         families=(families[0], families[1], families[2]),
-        origin=jnp.asarray(origin, dtype),
+        origin=on_device(origin.astype(dtype)),
         spacing=float(spacing),
         top=float(high[2]),
     )

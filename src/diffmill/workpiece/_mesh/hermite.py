@@ -86,7 +86,7 @@ def inside_nodes(stock: "Stock") -> Bool[np.ndarray, "x y z"]:
 def _filled(stock: "Stock", family: int, count: int) -> Int[np.ndarray, "u v node"]:
     """Counts of 1 where a node lies within an interval of its ray."""
     ends = np.asarray(stock.families[family].ends, np.float64)
-    at = (ends - float(stock.origin[family])) / stock.spacing
+    at = (ends - float(np.asarray(stock.origin)[family])) / stock.spacing
     start = np.clip(np.ceil(at[:, :, 0]), 0, count).astype(np.int64)
     stop = np.clip(np.floor(at[:, :, 1]) + 1, 0, count).astype(np.int64)
     u, v, slot = np.nonzero(stop > start)
