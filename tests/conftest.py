@@ -7,6 +7,9 @@ import signal
 import zlib
 from collections.abc import Iterator
 
+# As the commands do, before NumPy loads its library.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 import jax
 import jax.monitoring
 import pytest
@@ -49,8 +52,6 @@ def pytest_collection_modifyitems(
 
 def pytest_configure(config: pytest.Config) -> None:
     """Compile the fast tests quickly: that, not running, is most of their time."""
-    # As the commands do; SciPy's library is loaded later.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     is_fast = config.option.markexpr == "not slow"
     if is_fast and not config.getoption("benchmark_only", default=False):
         given = os.environ.get("XLA_FLAGS", "")

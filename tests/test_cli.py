@@ -16,6 +16,7 @@ from diffmill import examples, load_job
 from diffmill.cli import main
 from small_job import CUTS, small_job
 
+NAME = "OPENBLAS_NUM_THREADS"
 ROOT = pathlib.Path(__file__).parents[1]
 JOB = small_job('diameter = "10 mm"\nteeth = 2')
 
@@ -25,6 +26,19 @@ def folder(here):
     (here / "job.toml").write_text(JOB)
     (here / "part.ngc").write_text(CUTS)
     return here
+
+
+@pytest.mark.parametrize(("given", "taken"), [({}, "1"), ({NAME: "3"}, "3")])
+def test_lapack_takes_one_thread_before_it_is_loaded_unless_told(given, taken):
+    code = (
+        "import os, runpy, sys, types\n"
+        "module = types.ModuleType('diffmill.cli')\n"
+        "sys.modules['diffmill.cli'] = module\n"
+        f"module.main = lambda: print(os.environ['{NAME}'], 'numpy' in sys.modules)\n"
+        "runpy.run_module('diffmill', run_name='__main__')\n"
+    )
+    plain = {name: x for name, x in os.environ.items() if name != NAME}
+    assert python(code, env=plain | given).stdout == f"{taken} False\n"
 
 
 def test_help_and_usage(capsys):

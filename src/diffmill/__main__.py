@@ -7,6 +7,8 @@ import signal
 import sys
 from typing import NoReturn
 
+from ._jax_config import limit_threads
+
 # Tracing makes a great many objects that live on, among which Python would search all
 # the time for those that do not.
 _OBJECTS = 500_000
@@ -32,6 +34,8 @@ def run() -> NoReturn:
     """
     # From the first moment on, also while the command line is imported.
     signal.signal(signal.SIGTERM, _interrupt)
+    # Before NumPy loads its LAPACK, as SciPy does later.
+    limit_threads()
     gc.set_threshold(_OBJECTS)
     try:
         code = main()

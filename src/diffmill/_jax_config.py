@@ -55,6 +55,20 @@ def configure_jax(precision: str = "float64") -> str:
     return ""
 
 
+def limit_threads() -> None:
+    """Give XLA and LAPACK one thread each, unless the environment says how many.
+
+    A library of LAPACK reads this when it is loaded: NumPy's at its import, SciPy's,
+    which XLA calls, at the first call.
+    """
+    # XLA hands the many small operations of a tooth period from thread to thread, which
+    # takes longer than they do: `experiments/performance/run.py step` shows it.
+    os.environ.setdefault("NPROC", "1")
+    # Nor do threads of LAPACK help systems of six unknowns: they wait, busily, for each
+    # other.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+
 def use_compile_cache(folder: str | os.PathLike[str] | None = None) -> str:
     """Keep what is compiled in a folder, where later processes find it.
 
@@ -75,12 +89,7 @@ def use_compile_cache(folder: str | os.PathLike[str] | None = None) -> str:
     """
     import jax
 
-    # XLA hands the many small operations of a tooth period from thread to thread, which
-    # takes longer than they do: `experiments/performance/run.py step` shows it.
-    os.environ.setdefault("NPROC", "1")
-    # Nor do threads of LAPACK help systems of six unknowns: they wait, busily, for each
-    # other. SciPy's library, which XLA calls, is loaded at the first of them.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    limit_threads()
     if jax.__version__.startswith(_KNOWN):
         given = os.environ.get("XLA_FLAGS", "").split()
         # What is given counts: the last of two flags does.
