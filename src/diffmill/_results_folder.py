@@ -9,6 +9,7 @@ holds a lock beside its folder and removes the parts of runs that were killed.
 import contextlib
 import errno
 import hashlib
+import io
 import itertools
 import os
 import pathlib
@@ -17,7 +18,10 @@ import signal
 import tempfile
 import threading
 from collections.abc import Callable, Iterable, Iterator
-from typing import NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
+
+if TYPE_CHECKING:
+    import xarray
 
 try:
     import fcntl
@@ -297,6 +301,22 @@ def write_whole(
         if part is not None:
             with contextlib.suppress(OSError):
                 os.unlink(part)
+
+
+def netcdf_bytes(dataset: "xarray.Dataset") -> bytes:
+    """Content of a netCDF file that holds a dataset.
+
+    By way of memory: HDF5 ends the process where it finds the disk full. What
+    `Dataset.to_netcdf` writes is the same, but it imports dask's scheduler first, where
+    that is installed, to see whether this is one of its workers.
+    """
+    import h5netcdf
+    from xarray.backends import H5NetCDFStore
+
+    buffer = io.BytesIO()
+    with h5netcdf.File(buffer, "w") as file:
+        dataset.dump_to_store(H5NetCDFStore(file))
+    return buffer.getvalue()
 
 
 def previous_of(file: pathlib.Path) -> pathlib.Path:

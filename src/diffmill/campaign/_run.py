@@ -7,7 +7,7 @@ import pathlib
 from collections.abc import Callable, Iterable, Iterator
 from typing import TYPE_CHECKING, Any
 
-from .._results_folder import write_whole
+from .._results_folder import netcdf_bytes, write_whole
 from ..config import Campaign
 from ._dataset import campaign_dataset
 from ._task import JobRecord, Task, campaign_tasks, run_task
@@ -69,7 +69,7 @@ def run_campaign(
     finally:
         digests = [task.digest for task in tasks]
         dataset = campaign_dataset(campaign, digests, records)
-        write_whole(folder / "result.nc", dataset.to_netcdf(engine="h5netcdf"))
+        write_whole(folder / "result.nc", netcdf_bytes(dataset))
     return dataset
 
 

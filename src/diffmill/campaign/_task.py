@@ -9,7 +9,7 @@ from importlib import metadata
 from typing import Literal, NamedTuple, TypedDict
 
 from .._jax_config import configure_jax
-from .._results_folder import write_whole
+from .._results_folder import netcdf_bytes, write_whole
 from .._toml import JobError
 from ..config import Campaign, job_precision, load_job
 from ..io import PROGRAM_FORMATS
@@ -161,7 +161,7 @@ def _figures(task: Task) -> dict[str, dict[str, float]]:
     dataset = run(job).to_dataset()
     if task.rows_file is not None:
         named = described(dataset.assign_attrs(job=job.name, source=job.source))
-        write_whole(task.rows_file, named.to_netcdf(engine="h5netcdf"))
+        write_whole(task.rows_file, netcdf_bytes(named))
     cases = dataset["case"].values if "case" in dataset.dims else ["predicted"]
     figures = {}
     for index, case in enumerate(str(name) for name in cases):

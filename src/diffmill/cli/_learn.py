@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from .._jax_config import configure_jax
 from .._messages import printable
-from .._results_folder import ResultsFolder
+from .._results_folder import ResultsFolder, netcdf_bytes
 from .._toml import read_toml
 from ._analyses import add_analyses
 from ._run_job import JobRun
@@ -259,7 +259,7 @@ def _filler(
     ]
 
     def fill(target: pathlib.Path) -> None:
-        data = found.posterior.to_dataset().to_netcdf(engine="h5netcdf")
+        data = netcdf_bytes(found.posterior.to_dataset())
         (target / "learnt.nc").write_bytes(data)
         (target / "learnt.toml").write_text("\n".join(toml) + "\n", encoding="utf-8")
         text = "\n".join(lines) + "\n"

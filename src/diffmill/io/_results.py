@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from .._results_folder import ResultsFolder
+from .._results_folder import ResultsFolder, netcdf_bytes
 from ..workpiece import Stock, save
 
 # xarray takes half a second to import, which only these functions need.
@@ -61,9 +61,7 @@ def write_results(
     """
 
     def fill_all(folder: pathlib.Path) -> None:
-        # By way of memory: HDF5 ends the process where it finds the disk full.
-        result = described(dataset).to_netcdf(engine="h5netcdf")
-        (folder / "result.nc").write_bytes(result)
+        (folder / "result.nc").write_bytes(netcdf_bytes(described(dataset)))
         if stock is not None:
             save(stock, folder / "stock.npz")
         for name, content in (files or {}).items():
