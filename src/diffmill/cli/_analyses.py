@@ -1,5 +1,6 @@
 """The analyses and figures of a run, added to results that are already written."""
 
+import concurrent.futures
 import contextlib
 import ctypes
 import dataclasses
@@ -9,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 
+from .._results_folder import netcdf_bytes
 from ._session.attempts import Attempts
 from ._session.progress import Progress
 
@@ -22,6 +24,9 @@ if TYPE_CHECKING:
 _TRUE_CASES = ("uncorrected", "mirror")
 # Tooth periods from which on they run on one of these machines alone.
 _LONG_ROWS = 20_000
+# Figures that the rows of the dataset suffice for, and the others.
+_FIGURES_OF_ROWS = ("paths", "deviation")
+_FIGURES_OF_INPUTS = ("forces", "chip", "surface", "dexels", "sensitivity")
 # xarray and the parts that compute are imported when a job runs.
 Dataset: TypeAlias = Any
 Solution: TypeAlias = Any
@@ -93,7 +98,7 @@ def add_analyses(folder: pathlib.Path, run: FinishedRun, progress: Progress) -> 
     def fill(target: pathlib.Path) -> None:
         finished = run._replace(dataset=described(dataset))
         result = _write_pictures(target, finished, attempts)
-        (target / "result.nc").write_bytes(result.to_netcdf(engine="h5netcdf"))
+        (target / "result.nc").write_bytes(netcdf_bytes(result))
 
     # The search for chatter has read programs of its own.
     give_back_memory()
@@ -299,13 +304,22 @@ def _write_pictures(
     from ..viz import figure_inputs, write_figures, write_report
 
     inputs, figures = {}, {}
-    with attempts.at("surface"):
-        chosen = run.dataset.attrs.get("corrected_case", "")
-        inputs = figure_inputs(run.job, run.solutions, run.surfaces, chosen=chosen)
-        if inputs["surfaces"]:
-            _write_surface(folder / "surface.nc", inputs["surfaces"])
+    chosen = run.dataset.attrs.get("corrected_case", "")
+    with concurrent.futures.ThreadPoolExecutor(1) as pool:
+        # Compiled code leaves the interpreter free to draw what needs no inputs.
+        computed = pool.submit(
+            figure_inputs, run.job, run.solutions, run.surfaces, chosen=chosen
+        )
+        with attempts.at("figures"):
+            figures = write_figures(folder, run.dataset, names=_FIGURES_OF_ROWS)
+        with attempts.at("surface"):
+            inputs = computed.result()
+            if inputs["surfaces"]:
+                _write_surface(folder / "surface.nc", inputs["surfaces"])
     with attempts.at("figures"):
-        figures = write_figures(folder, run.dataset, **inputs)
+        figures |= write_figures(
+            folder, run.dataset, names=_FIGURES_OF_INPUTS, **inputs
+        )
         if run.draw is not None:
             figures |= run.draw(folder)
     dataset = _with_notes(run.dataset, [f"warning: {x}" for x in attempts.lines()])
@@ -356,4 +370,4 @@ def _write_surface(file: pathlib.Path, surfaces: "dict[str, SurfaceError]") -> N
         },
         attrs={"Conventions": "CF-1.11"},
     )
-    file.write_bytes(dataset.to_netcdf(engine="h5netcdf"))
+    file.write_bytes(netcdf_bytes(dataset))

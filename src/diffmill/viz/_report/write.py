@@ -1,6 +1,7 @@
 """All figures of a result as PNG files, with the captions that the report prints."""
 
 import os
+from collections.abc import Collection
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -58,6 +59,7 @@ def write_figures(
     out_dir: str | os.PathLike,
     dataset: "xarray.Dataset",
     *,
+    names: Collection[str] | None = None,
     forces: ForceTrace | None = None,
     chip: ToothChip | None = None,
     chip_row: int | None = None,
@@ -69,6 +71,7 @@ def write_figures(
     Args:
         out_dir: Existing folder for the PNG files.
         dataset: A result of `simulate` or `correct`.
+        names: Names of the figures to write; all by default.
         forces: Force within the tooth periods; without it the figure shows the
             mean over each tooth period from `dataset`.
         chip: Chip chart of one tooth.
@@ -82,18 +85,22 @@ def write_figures(
         None and the reason in `skipped`.
     """
     folder = Path(out_dir)
+    left_out = dataset.attrs.get("surface_left_out")
     drawings = {
-        "paths": _draw_paths(dataset),
-        "deviation": _draw_deviation(dataset),
-        "forces": _of_reference(_draw_forces(dataset, forces), dataset),
-        "chip": _of_reference(_draw_chip(chip, chip_row, dataset), dataset),
-        "surface": _draw_surface(surfaces, dataset.attrs.get("surface_left_out")),
-        "dexels": _of_reference(_draw_dexels(dexels), dataset),
+        "paths": lambda: _draw_paths(dataset),
+        "deviation": lambda: _draw_deviation(dataset),
+        "forces": lambda: _of_reference(_draw_forces(dataset, forces), dataset),
+        "chip": lambda: _of_reference(_draw_chip(chip, chip_row, dataset), dataset),
+        "surface": lambda: _draw_surface(surfaces, left_out),
+        "dexels": lambda: _of_reference(_draw_dexels(dexels), dataset),
     }
     if "sensitivity_contour_vector" in dataset:
-        drawings["sensitivity"] = _draw_sensitivity(dataset)
+        drawings["sensitivity"] = lambda: _draw_sensitivity(dataset)
     files = {}
-    for name, drawing in drawings.items():
+    for name, draw in drawings.items():
+        if names is not None and name not in names:
+            continue
+        drawing = draw()
         if drawing.figure is None:
             files[name] = FigureFile(drawing.title, skipped=drawing.text)
             continue
