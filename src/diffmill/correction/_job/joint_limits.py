@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from ..._arrays import on_device
 from ..._job import Job
 from ..._types import FloatRows
 from ...sim import JobKinematics
@@ -123,9 +124,14 @@ def _nonlinearity_bound(
     nonlinearity = np.zeros(joints.shape)
     for axis in range(slope.shape[2]):
         # Inverse kinematics would avoid a limit, by another configuration.
-        aside = joints + jnp.asarray(max_offset * slope[:, :, axis], joints.dtype)
-        there = None if tips is None else tips.at[:, axis].add(max_offset)
-        change = np.asarray(JobKinematics(job).motor_slopes(aside, there)) - slope
+        aside = np.asarray(joints) + max_offset * slope[:, :, axis].astype(joints.dtype)
+        there = tips
+        if tips is not None:
+            step = max_offset * np.eye(3, dtype=tips.dtype)[axis]
+            there = on_device(np.asarray(tips) + step)
+        change = (
+            np.asarray(JobKinematics(job).motor_slopes(on_device(aside), there)) - slope
+        )
         nonlinearity += np.sum(np.abs(change), axis=2)
     return _SAFETY_FACTOR * max_offset / 2 * nonlinearity
 

@@ -6,6 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from ..._arrays import on_device
+from ...numerics import CachedJit
 from ...process import (
     EdgeSamples,
     Engagement,
@@ -38,10 +40,9 @@ def force_slopes(
     Differentiability: none, a host function.
     """
     # The path between two instants follows from their neighbours, too.
-    padded = jax.tree.map(
-        lambda x: jnp.concatenate([2 * x[:1] - x[1:2], x, 2 * x[-1:] - x[-2:-1]]), path
-    )
-    carry, first, slopes = _begin(process, path), jnp.ones((), jnp.int32), {}
+    longer = lambda x: np.concatenate([2 * x[:1] - x[1:2], x, 2 * x[-1:] - x[-2:-1]])
+    padded = jax.tree.map(lambda x: on_device(longer(np.asarray(x))), path)
+    carry, first, slopes = _begin(process, path), on_device(np.ones((), np.int32)), {}
     cutter, count = process.cutter, process.repeats_after
     # A path shorter than a turn stands for the rest by its first period.
     turns = np.maximum(rows[:, None] + np.arange(1 - count, 1), 1)
@@ -49,12 +50,12 @@ def force_slopes(
     if not cutter.has_even_pitch:
         delays = np.asarray(cutter.delays(np.float64)).reshape(-1)
     for row in np.unique(turns):
-        last = jnp.asarray(row, jnp.int32)
+        last = on_device(np.asarray(row, np.int32))
         carry, found = _replay(process, carry, padded, first, last)
         now, before = (np.asarray(x, np.float64) for x in found)
         before = before.reshape(len(now), -1, 3, 3)
         slopes[row] = Regeneration(now, before, delays)
-        first = last + 1
+        first = on_device(np.asarray(row + 1, np.int32))
     return [[slopes[row] for row in turn] for turn in turns]
 
 
@@ -66,7 +67,7 @@ class _Replayed(eqx.Module):
     ends: Pose
 
 
-@eqx.filter_jit
+@CachedJit
 def _begin(process: Process, path: Pose) -> _Replayed:
     """Return the state before the first period, as if the tool had stood still."""
     state = process.begin(path[0], path.tip.shape[0])
@@ -74,7 +75,7 @@ def _begin(process: Process, path: Pose) -> _Replayed:
     return _Replayed(state, still, still)
 
 
-@eqx.filter_jit
+@CachedJit
 def _replay(
     process: Process,
     before: _Replayed,

@@ -440,7 +440,7 @@ def _poses(
 def _padded(rows: Float[Array, "step joint"]) -> Float[Array, "padded joint"]:
     """Return rows with the last one again, as many as one of few lengths."""
     at = np.minimum(np.arange(padded_count(rows.shape[0])), rows.shape[0] - 1)
-    return rows[at]
+    return on_device(np.asarray(rows)[at])
 
 
 @dataclasses.dataclass(frozen=True)
