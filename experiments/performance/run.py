@@ -12,6 +12,7 @@ sys.path.append(str(HERE.parent / "common"))
 
 GROUPS = (
     "first",
+    "second",
     "step",
     "flags",
     "deep",

@@ -8,7 +8,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..._types import Transform
-from ...numerics import CachedJit
 from ...settings.fields import fix_a_frame
 from .._algebra.rotations import rotation_matrix
 from .._dynamics.rnea import gravity_forces
@@ -85,7 +84,8 @@ class NominalRobot(eqx.Module):
 
         **Differentiability**: smooth in the machine, but for gears that carry nothing.
         """
-        return _touched_off(self, machine)
+        found = self._probed_tips(machine)
+        return _rigid_fit(self.T_base_work, jnp.asarray(self.probes), found)
 
     def probe_errors(self, machine: Robot) -> Float[Array, " probe"]:
         """Distances of the probed points from the frame that fits them [m].
@@ -126,13 +126,6 @@ class NominalRobot(eqx.Module):
         sides = jnp.asarray([1.0, -1.0], machine.dtype)
         both = jax.vmap(jax.vmap(tip, (None, 0)), (0, None))(motors, sides)
         return both.mean(1)
-
-
-@CachedJit
-def _touched_off(nominal: NominalRobot, machine: Robot) -> Float[Array, "4 4"]:
-    """Workpiece frame that a probe finds, as `NominalRobot.touch_off`."""
-    found = nominal._probed_tips(machine)
-    return _rigid_fit(nominal.T_base_work, jnp.asarray(nominal.probes), found)
 
 
 def _rigid_fit(
