@@ -3,11 +3,11 @@ import errno
 import numpy as np
 import pytest
 import xarray
-from helpers import names
+from helpers import names, python
 
 from diffmill import workpiece
 from diffmill.cli import main
-from diffmill.io import mark_incomplete, write_results
+from diffmill.io import described, mark_incomplete, write_results
 
 
 @pytest.fixture
@@ -41,6 +41,22 @@ def test_round_trip(tmp_path, dataset):
         assert read.attrs["Conventions"].startswith("CF-")
         assert f"numpy {np.__version__}" in read.attrs["versions"]
         assert read.attrs["incomplete"] == 0
+
+
+def test_a_result_is_written_as_by_xarray(tmp_path, dataset):
+    out = write_results(tmp_path / "out", dataset)
+    wanted = described(dataset).to_netcdf(engine="h5netcdf")
+    assert (out / "result.nc").read_bytes() == bytes(wanted)
+
+
+def test_writing_starts_no_scheduler(tmp_path):
+    code = (
+        "import sys, xarray\n"
+        "from diffmill.io import write_results\n"
+        f"write_results({str(tmp_path / 'out')!r}, xarray.Dataset())\n"
+        "print('distributed' in sys.modules)\n"
+    )
+    assert python(code).stdout == "False\n"
 
 
 def test_any_attribute_can_be_written(tmp_path, dataset):

@@ -117,6 +117,13 @@ def test_absent_inputs_are_named(tmp_path, simulation):
     assert not list(tmp_path.iterdir())
 
 
+def test_figures_are_written_by_name(tmp_path, simulation):
+    files = write_figures(tmp_path, simulation, names=["deviation", "chip"])
+    assert list(files) == ["deviation", "chip"]
+    assert files["chip"].skipped == "no chip chart was computed"
+    assert [file.name for file in tmp_path.iterdir()] == ["deviation.png"]
+
+
 def test_report_needs_no_other_file(full_run):
     figures, path = full_run
     reader = read(path)
