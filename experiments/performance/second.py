@@ -20,11 +20,7 @@ import tempfile
 import time
 
 # Command, example, and the processor time to reach in the second process [s].
-COMMANDS = (
-    ("simulate", "paper_small", 7.0),
-    ("correct", "paper_small", 20.0),
-    ("correct", "paper", 60.0),
-)
+COMMANDS = (("simulate", "paper_small", 11.0), ("correct", "paper", 70.0))
 # Phases, and the functions of the package that run them.
 PHASES = {
     "reading the job": ("config.check_tables", "config.load_job"),
