@@ -18,6 +18,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from typing import Any
 
 # Command, example, and the processor time to reach in the second process [s].
 COMMANDS = (("simulate", "paper_small", 11.0), ("correct", "paper", 70.0))
@@ -88,7 +89,7 @@ def tell_phases():
             for part in path[:-1]:
                 owner = getattr(owner, part)
             setattr(owner, path[-1], timed(getattr(owner, path[-1]), phase))
-    process = importlib.import_module("diffmill.__main__")
+    process: Any = importlib.import_module("diffmill.__main__")
     run_command = process.main
 
     def main():

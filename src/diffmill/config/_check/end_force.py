@@ -7,6 +7,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
+from ..._arrays import on_device
 from ..._job import Job
 from ..._padding import pad_rows, padded_count
 from ...cutter import AbstractCutter
@@ -202,7 +203,7 @@ def end_force(
         tooth = np.arange(len(h), dtype=np.int32) % cutter.flute_count
         # One program for many lengths, not one for each and each operation.
         padded = padded_count(len(h))
-        samples = (pad_rows(x, padded) for x in (h, np.ones(h.shape), tooth))
+        samples = (on_device(pad_rows(x, padded)) for x in (h, np.ones(h.shape), tooth))
         F_r = eqx.filter_jit(bottom_law.force_per_width)(*samples)[1]
         width = np.concatenate(shares) * cutter.flute_count / (2 * math.pi)
         np.add.at(force, pose, width * np.asarray(F_r)[: len(h)])
