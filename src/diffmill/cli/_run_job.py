@@ -45,11 +45,9 @@ if TYPE_CHECKING:
 Dataset: TypeAlias = Any
 Outcome: TypeAlias = Any
 
-# The slowest imports of results, surfaces and figures; xarray asks of each array
-# whether it is one of dask's, where that is installed.
+# The slowest imports of results, surfaces and figures.
 _LATE_IMPORTS = (
     "xarray",
-    "dask.array",
     "h5netcdf",
     "matplotlib.figure",
     "matplotlib.backends.backend_agg",
@@ -298,8 +296,8 @@ def _earlier_files(results: ResultsFolder) -> str:
 
 def _import_later() -> None:
     """Import modules of later steps, where a failure comes again and is reported."""
-    for name in _LATE_IMPORTS:
-        with contextlib.suppress(Exception):
+    with contextlib.suppress(Exception):
+        for name in _LATE_IMPORTS:
             importlib.import_module(name)
 
 
