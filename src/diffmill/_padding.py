@@ -1,6 +1,8 @@
 """Paths padded to few lengths: rows that count, and those that no period computes.
 
-A compiled program serves one length, so that paths are padded before they run.
+A compiled program serves one length, so that paths are padded before they run. A path
+beyond the longest length is taken piece by piece, so that neither a program nor what
+it holds at once grows with the path.
 
 In the rows behind the last one the machine does nothing: a period there leaves the arm
 as it is, and removes at most what is left to remove anyway.
@@ -14,19 +16,26 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Int, PyTree, Shaped
 
-from ._arrays import is_traced
+from ._arrays import is_traced, on_device
 from ._types import IntScalar
 
 _Tree = TypeVar("_Tree")
 _Row = TypeVar("_Row")
 # Paths are padded to the least of these lengths: this times a power of the ratio.
 _LEAST, _RATIO = 256, 4
+# The longest of them: a longer path is taken in pieces of so many rows.
+LONGEST = 16_384
 # Rows that are left out together where none of them counts.
 _TOGETHER = 64
 
 
 def padded_count(row_count: int) -> int:
-    """Return the number of rows to which a path of so many is padded."""
+    """Return the number of rows to which a path of so many is padded.
+
+    Beyond the longest length these are whole pieces.
+    """
+    if row_count > LONGEST:
+        return -(-row_count // LONGEST) * LONGEST
     count = _LEAST
     while count < row_count:
         count *= _RATIO
@@ -45,6 +54,30 @@ def pad_rows(
     at = np.minimum(np.arange(step_count), rows.shape[0] - 1)
     # A device would compile the lookup for each length.
     return rows[at] if is_traced(rows) else np.asarray(rows)[at]
+
+
+def in_pieces(compute: Callable[[PyTree], _Tree], rows: PyTree) -> _Tree:
+    """Values of rows that do not depend on each other, on the host, piece by piece.
+
+    Args:
+        compute: From padded rows to their values, row by row.
+        rows: Arrays of a path's rows, a tree with an axis row.
+
+    Returns:
+        The values of all rows, as arrays of NumPy.
+    """
+    rows = jax.tree.map(np.asarray, rows)
+    count = jax.tree.leaves(rows)[0].shape[0]
+    total = min(padded_count(count), LONGEST)
+    starts = range(0, count, total)
+    found = [jax.device_get(compute(_piece(rows, k, total))) for k in starts]
+    return jax.tree.map(lambda *parts: np.concatenate(parts)[:count], *found)
+
+
+def _piece(rows: PyTree, first: int, total: int) -> PyTree:
+    """Some rows on the device, from one on; the last of all comes again."""
+    cut = lambda x: x[np.minimum(np.arange(first, first + total), len(x) - 1)]
+    return jax.tree.map(lambda x: on_device(cut(x)), rows)
 
 
 def last_row(step_count: int, row_count: IntScalar | None) -> Int[Array, ""]:

@@ -68,9 +68,13 @@ def test_a_path_is_followed(arm):
     assert_allclose(again, Ts, atol=1e-12)
 
 
-def test_a_path_that_is_padded_is_followed_alike(arm):
-    # 100 rows run as 256, of which those are left out that do not count.
-    Ts = line(arm, 100)
+# 100 rows run as 256, of which those are left out that do not count; the longest path
+# is followed in two pieces.
+@pytest.mark.parametrize("count", [100, 16_500])
+def test_a_path_that_is_padded_is_followed_alike(arm, count):
+    turn = 2 * np.pi * np.arange(count) / 4000
+    Ts = line(arm, count, step=(0, 0, 0))
+    Ts[:, :2, 3] += 0.05 * np.stack([np.cos(turn), np.sin(turn)], axis=1)
     found = dr.inverse_kinematics_path(arm, Ts, arm.home)
     traced = jax.jit(lambda Ts: dr.inverse_kinematics_path(arm, Ts, arm.home))
     for one, other in zip(

@@ -6,8 +6,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from ..._arrays import first_rows
-from ..._padding import pad_rows, padded_count
+from ..._padding import in_pieces
 from ..._types import FloatRows
 from ...numerics import CachedJit
 from ...robot import (
@@ -73,9 +72,7 @@ class ReachCheck(NamedTuple):
         """
         robot, start = self.robot, self.joint_start
         T_work_tool = np.tile(np.eye(4), (path.step_count, 1, 1))
-        # At one of few lengths, since each would be compiled.
-        axes = pad_rows(path.axes, padded_count(path.step_count))
-        frames = np.array(first_rows(_frames(axes), path.step_count))
+        frames = in_pieces(_frames, path.axes)
         if path.tool_x is not None:
             x, z = np.asarray(path.tool_x), np.asarray(path.axes)
             frames = np.stack([x, np.cross(z, x), z], axis=-1)
@@ -249,9 +246,7 @@ def _note_singular(
     notes: list[str],
 ) -> None:
     """Note of the pose nearest to a singular one, if it is near."""
-    rows = padded_count(path.step_count)
-    near = _singularities(robot, pad_rows(found.q, rows), tool_rotation)
-    near = jax.device_get(first_rows(near, path.step_count))
+    near = in_pieces(lambda q: _singularities(robot, q, tool_rotation), found.q)
     is_near = near.smallest < _NEAR_SINGULAR
     if not is_near.any():
         return

@@ -8,6 +8,7 @@ price of one forward kinematics. Virtual joints stay at 0.
 import dataclasses
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
@@ -15,7 +16,14 @@ from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float, Int
 
 from ..._arrays import first_rows, is_traced, on_device
-from ..._padding import live_rows, map_rows, pad_rows, padded_count, scan_rows
+from ..._padding import (
+    LONGEST,
+    live_rows,
+    map_rows,
+    pad_rows,
+    padded_count,
+    scan_rows,
+)
 from ..._types import Transform
 from ...numerics import CachedJit, small_inverse
 from .._model.robot import JointVector, Robot, joint_vector
@@ -141,11 +149,24 @@ def inverse_kinematics_path(
     if is_traced((robot, Ts_base_tool, start)):
         Ts = jnp.asarray(Ts_base_tool, dtype=robot.dtype)
         return _solve_path(robot, Ts, start, tool_rotation, attempts, None)
-    count = Ts_base_tool.shape[0]
-    Ts = on_device(pad_rows(np.asarray(Ts_base_tool, robot.dtype), padded_count(count)))
-    rows = on_device(np.asarray(count, np.int32))
-    solution = _solve_path(robot, Ts, start, tool_rotation, attempts, rows)
-    return first_rows(solution, count)
+    Ts = np.asarray(Ts_base_tool, robot.dtype)
+    total, pieces = min(padded_count(len(Ts)), LONGEST), []
+    # Each piece begins with the last pose of the one before, whose joints are known.
+    for first in range(0, max(1, len(Ts) - 1), total - 1):
+        rows = Ts[first : first + total]
+        found = _solve_path(
+            robot,
+            on_device(pad_rows(rows, total)),
+            start,
+            tool_rotation,
+            attempts,
+            on_device(np.asarray(len(rows), np.int32)),
+            on_device(np.asarray(first > 0)),
+        )
+        found = jax.device_get(first_rows(found, len(rows)))
+        start = on_device(found.q[-1])
+        pieces.append(jax.tree.map(lambda x, k=min(first, 1): x[k:], found))
+    return jax.tree.map(lambda *x: on_device(np.concatenate(x)), *pieces)
 
 
 @CachedJit
@@ -169,6 +190,7 @@ def _solve_path(
     tool_rotation: ToolRotation,
     attempts: int,
     row_count: Int[Array, ""] | None,
+    is_begun: Bool[Array, ""] | None = None,
 ) -> JointSolution:
     def follow(q, T, _):
         if not has_choice(robot, tool_rotation):
@@ -180,8 +202,14 @@ def _solve_path(
         q = _search(robot, T, q, _PATH_STEPS, tool_rotation, chooses=False)
         return q, q
 
-    start = _unloaded_virtual(robot, q_start)
-    first = _first_pose(robot, Ts[0], start, tool_rotation, attempts)
+    def search() -> Float[Array, " joint"]:
+        start = _unloaded_virtual(robot, q_start)
+        return _first_pose(robot, Ts[0], start, tool_rotation, attempts)
+
+    if is_begun is None:
+        first = search()
+    else:
+        first = lax.cond(is_begun, lambda: lax.stop_gradient(q_start), search)
     index = jnp.arange(Ts.shape[0], dtype=jnp.int32)
     is_live = live_rows(index, row_count)
     _, qs = scan_rows(follow, first, lax.stop_gradient(Ts), is_live)

@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..._arrays import first_rows, is_traced, on_device
 from ..._job import Job
-from ..._padding import live_rows, map_rows, pad_rows, padded_count
+from ..._padding import in_pieces, live_rows, map_rows, pad_rows, padded_count
 from ..._types import FloatRows3, Transform
 from ...numerics import CachedJit
 from ...robot import (
@@ -109,16 +109,14 @@ class JobKinematics(eqx.Module):
         start = (
             robot.home if self.joint_start is None else jnp.asarray(self.joint_start)
         )
-        count, rows = commanded.shape[0], commanded.shape[0]
-        if not is_traced((self, commanded)):
-            rows = padded_count(count)
-            commanded = on_device(pad_rows(commanded, rows))
-            axes = None if axes is None else on_device(pad_rows(axes, rows))
-            tool_x = None if tool_x is None else on_device(pad_rows(tool_x, rows))
-        Ts = _poses(jnp.asarray(self.T_base_work), commanded, axes, tool_x)
+        frame, rows = jnp.asarray(self.T_base_work), (commanded, axes, tool_x)
+        if is_traced((self, commanded)):
+            Ts = _poses(frame, *rows)
+        else:
+            Ts = in_pieces(lambda rows: _poses(frame, *rows), rows)
         return inverse_kinematics_path(
             robot,
-            first_rows(Ts, count),
+            Ts,
             start,
             tool_rotation=self.tool_rotation,
         )
@@ -171,12 +169,10 @@ class JobKinematics(eqx.Module):
         """
         if self.arm is None:
             return self.tool_command(joints)
-        count, rows = joints.shape[0], joints.shape[0]
-        if not is_traced((self, joints)):
-            rows = padded_count(count)
-            joints = on_device(pad_rows(joints, rows))
-        motors = _motors(self.robot, joints, self.is_gravity_compensated)
-        return self._of_machine(first_rows(motors, count))
+        motors = lambda q: _motors(self.robot, q, self.is_gravity_compensated)
+        if is_traced((self, joints)):
+            return self._of_machine(motors(joints))
+        return self._of_machine(on_device(in_pieces(motors, joints)))
 
     def tool_command(
         self, commanded: Float[Array, "step 3"]
