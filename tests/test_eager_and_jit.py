@@ -379,6 +379,12 @@ CALLS: dict[str, Callable[[], Call]] = {
         (pass_at(),),
         False,
     ),
+    "process.feed_angles": lambda: Call(
+        lambda before, path: pr.feed_angles(path, None, before),
+        jnp.asarray(0.5),
+        (pass_at(),),
+        False,
+    ),
     "process.wall_deviation": lambda: Call(
         lambda shares, ends, path: pr.wall_deviation(ends, path, shares),
         jnp.abs(rows(4)),

@@ -143,7 +143,8 @@ def scan_rows(
     """Scan over rows as `jax.lax.scan`, without many rows that do not count.
 
     Where none of some rows counts, they are left out together: a branch that hands a
-    stock on copies it, which is then little beside the rows of the other branch.
+    stock on copies it, which is then little beside the rows of the other branch. Rows
+    are filled up to whole parts with the last one, which then does not count.
 
     Args:
         step: From carry, row and whether it counts to carry and output.
@@ -175,9 +176,38 @@ def scan_rows(
 
     split = jax.tree.map(lambda x: x[at], rows)
     live = is_live[at] & (index < count)
-    is_run = is_live[jnp.maximum(at[:, 0] - behind, 0)]
+    is_run = _are_run(is_live, at[:, 0], behind)
     carry, found = jax.lax.scan(part, carry, _Part(split, live, is_run))
     return carry, jax.tree.map(lambda x: jax.lax.collapse(x, 0, 2)[:count], found)
+
+
+def whole_parts(row_count: int) -> int:
+    """Return the number of rows in as many whole parts of `scan_rows` as it takes."""
+    return -(-row_count // _TOGETHER) * _TOGETHER
+
+
+def _are_run(
+    is_live: Bool[Array, " row"], firsts: Int[Array, " part"], behind: int
+) -> Bool[Array, " part"]:
+    """Whether parts are run that begin at some rows."""
+    return is_live[jnp.maximum(firsts - behind, 0)]
+
+
+def count_run(
+    is_live: Bool[Array, " row"] | None, row_count: int, behind: int
+) -> Int[Array, ""]:
+    """Number of rows that `scan_rows` runs, those behind the last included.
+
+    Args:
+        is_live: As of `scan_rows`.
+        row_count: How many rows there are.
+        behind: As of `scan_rows`.
+    """
+    if is_live is None:
+        return jnp.asarray(row_count, jnp.int32)
+    firsts = jnp.arange(0, row_count, _TOGETHER)
+    parts = jnp.sum(_are_run(is_live, firsts, behind), dtype=jnp.int32)
+    return jnp.minimum(parts * _TOGETHER, row_count)
 
 
 def map_rows(

@@ -38,4 +38,8 @@ from ._stock_derivatives import (
     ThroughPoses as ThroughPoses,
     ThroughRays as ThroughRays,
 )
-from ._wall_instants import wall_deviation as wall_deviation, wall_shares as wall_shares
+from ._wall_instants import (
+    feed_angles as feed_angles,
+    wall_deviation as wall_deviation,
+    wall_shares as wall_shares,
+)

@@ -331,7 +331,7 @@ class RemovalHistory(NamedTuple):
         state: ProcessState,
         index: Int[Array, ""],
         pose: Pose,
-        pose_count: int,
+        pose_count: int | Int[Array, ""],
     ) -> tuple[ProcessState, RemovedVolume]:
         """Remove all that the history still holds, the last pose included.
 

@@ -101,14 +101,14 @@ class ProcessState(eqx.Module):
 
 
 class RemovedVolume(eqx.Module):
-    """Poses removed in one step and what each took [m^3].
+    """Poses removed in one step, or in several, and what each took [m^3].
 
     Attributes:
-        pose: Their indices, shape (pose,).
-        volume: All that a pose took [m^3], shape (pose,).
-        by_shank: What of it the shank took, above the flutes [m^3], shape (pose,).
+        pose: Their indices, shape (*step, pose).
+        volume: All that a pose took [m^3], same shape.
+        by_shank: What of it the shank took, above the flutes [m^3], same shape.
     """
 
-    pose: Int[Array, " pose"]
-    volume: Float[Array, " pose"]
-    by_shank: Float[Array, " pose"]
+    pose: Int[Array, "*step pose"]
+    volume: Float[Array, "*step pose"]
+    by_shank: Float[Array, "*step pose"]

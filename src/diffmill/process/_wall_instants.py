@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from .._types import IntScalar
 from ..cutter import AbstractCutter
 from ..workpiece import Pose, Stock
 from ._engagement.leading_half import STILL
@@ -30,6 +31,9 @@ def wall_shares(
     axes: Float[Array, "step 3"] | None,
     cutter: AbstractCutter,
     finished: Stock | None = None,
+    *,
+    first_row: IntScalar | int = 0,
+    feed_before: Float[Array, ""] | None = None,
 ) -> Float[Array, " step"]:
     """Return when in the tooth period before each row its wall is made.
 
@@ -39,6 +43,8 @@ def wall_shares(
         cutter: The cutter.
         finished: The stock after the path, which tells the side of the wall where teeth
             do not look to both at once; the left side if not given.
+        first_row: Row of a longer path that is the first of these, shape ().
+        feed_before: Angle of the feed before that, as of `feed_angles`.
 
     Returns:
         Shares of the period, shape (step,), from above 0 to 1; with uneven pitch teeth
@@ -46,17 +52,9 @@ def wall_shares(
 
     **Differentiability**: none, constants.
     """
-    path = jax.lax.stop_gradient(desired)
-    up = jnp.zeros(3, path.dtype).at[2].set(1)
-    axis = jnp.broadcast_to(up[None], path.shape) if axes is None else axes
-    frames = Pose.frame(axis)
-    motion = jnp.diff(path, axis=0, prepend=path[:1])
-    x, y = (jnp.sum(motion * frames[..., i], axis=-1) for i in (0, 1))
-    rows = jnp.arange(path.shape[0], dtype=jnp.int32)
-    # Where the tool stands, the last way that it moved.
-    is_moving = jnp.hypot(x, y) > STILL
-    last = jax.lax.cummax(jnp.where(is_moving, rows, 0))
-    feed = jnp.arctan2(x, y)[last]
+    path, frames = jax.lax.stop_gradient(desired), _frames(desired, axes)
+    feed = feed_angles(path, axes, feed_before)
+    rows = first_row + jnp.arange(path.shape[0], dtype=jnp.int32)
     is_right = _is_right(path, frames, feed, cutter, finished)
     wall = feed + jnp.where(is_right, 0.5, -0.5) * math.pi
     turn = wall * (cutter.flute_count / (2 * math.pi))
@@ -66,7 +64,42 @@ def wall_shares(
         jnp.mod(jnp.round(tooth).astype(jnp.int32), cutter.flute_count)
     ]
     share = jnp.clip(share, 0, 1) + late * (cutter.flute_count / (2 * math.pi))
-    return share.at[0].set(1)
+    return jnp.where(rows == 0, 1, share)
+
+
+def feed_angles(
+    desired: Float[Array, "step 3"],
+    axes: Float[Array, "step 3"] | None,
+    before: Float[Array, ""] | None = None,
+) -> Float[Array, " step"]:
+    """Angle of the feed from tool +y towards tool +x in the period before each row.
+
+    Args:
+        desired: The path of the tip [m], shape (step, 3).
+        axes: Tool axes, shape (step, 3); None if upright.
+        before: The angle before the first row [rad], shape (); 0 if not given.
+
+    Returns:
+        Angles [rad], shape (step,); where the tool stands, that of its last motion.
+
+    **Differentiability**: none, constants.
+    """
+    path, frames = jax.lax.stop_gradient(desired), _frames(desired, axes)
+    motion = jnp.diff(path, axis=0, prepend=path[:1])
+    x, y = (jnp.sum(motion * frames[..., i], axis=-1) for i in (0, 1))
+    rows = jnp.arange(path.shape[0], dtype=jnp.int32)
+    is_moving = jnp.hypot(x, y) > STILL
+    last = jax.lax.cummax(jnp.where(is_moving, rows, -1))
+    start = jnp.zeros((), path.dtype) if before is None else before
+    return jnp.where(last < 0, start, jnp.arctan2(x, y)[last])
+
+
+def _frames(
+    path: Float[Array, "step 3"], axes: Float[Array, "step 3"] | None
+) -> Float[Array, "step 3 3"]:
+    """Frames of a tool, by its axes, shape (step, 3, 3)."""
+    up = jnp.zeros(3, path.dtype).at[2].set(1)
+    return Pose.frame(jnp.broadcast_to(up[None], path.shape) if axes is None else axes)
 
 
 def _is_right(

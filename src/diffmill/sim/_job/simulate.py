@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..._arrays import cast_floats, first_rows, has_values, is_traced, on_device
 from ..._job import Job
-from ..._padding import pad_rows
+from ..._padding import LONGEST, pad_rows
 from ..._result import RESULTS, SimulationFailed
 from ..._types import FloatRows, FloatRows3, readable_signature
 from ...numerics import CachedJit
@@ -23,13 +23,11 @@ from ...process import (
     Process,
     ThroughRays,
     choose_engagement,
-    wall_deviation,
-    wall_shares,
 )
 from ...robot import Controller, Robot
 from ...settings.base import builds
 from ...settings.simulation import DynamicSettings, QuasistaticSettings
-from ...toolpath import ContourStatistics, Path, contour_error
+from ...toolpath import ContourStatistics, Path
 from ...workpiece import Pose, Stock
 from .._machine._integrator.choose import make_integrator
 from .._machine.commands import JobKinematics
@@ -39,6 +37,8 @@ from .._machine.modal import ModalMachine
 from .._machine.quasi_static import QuasiStaticArm
 from .._machine.rigid import Rigid
 from .failure import troubles_of
+from .long_run import Followed, LongRun, SegmentPlan
+from .walls import WallRows
 
 if TYPE_CHECKING:
     import pandas
@@ -111,6 +111,8 @@ class Solution(eqx.Module):
         commanded: Float[Array, "step 3"],
         adjoint: AbstractAdjoint,
         motors: FloatRows | None = None,
+        *,
+        plan: SegmentPlan | None = None,
     ) -> "Solution":
         """Return the solution of a command, given the rigid cut of the desired path.
 
@@ -121,6 +123,7 @@ class Solution(eqx.Module):
             adjoint: How to differentiate through the removal.
             motors: Commanded motor positions that override those of the tips [rad or
                 m], shape (step, joint).
+            plan: How a long path is run in segments.
 
         Returns:
             The solution.
@@ -135,8 +138,12 @@ class Solution(eqx.Module):
         if motors is not None:
             joints = 3 if job.robot is None else len(job.robot.joint_names)
             motors = _checked(motors, "motors", (count, joints), dtype)
-        needed = _needed(adjoint, (job, rigid, commanded, motors))
-        problem = MachiningProblem.padded(job, needed)
+        given = job, rigid, commanded, motors
+        needed = _needed(adjoint, given)
+        plan = SegmentPlan() if plan is None else plan
+        is_long = plan.suits(job.path, given)
+        build = MachiningProblem.of if is_long else MachiningProblem.padded
+        problem = build(job, needed)
         steps = problem.path.step_count
         tips = on_device(pad_rows(commanded, steps))
         is_reached = on_device(np.ones(steps, bool))
@@ -144,10 +151,15 @@ class Solution(eqx.Module):
             motors = on_device(pad_rows(motors, steps))
         elif problem.kinematics is not None:
             motors, is_reached = problem.kinematics.motors(tips)
-        ran, wall = _follow(problem, rigid.stock, tips, motors)
-        ran = ran.finished(_remove_pending(problem.process, ran.pending()))
-        ran = ran.first(count)
-        wall, is_reached = first_rows((wall, is_reached), count)
+        if is_long:
+            long_run = LongRun(problem, plan)
+            ran, walls, motors = long_run.follow(rigid.stock, tips, motors)
+        else:
+            ran, walls, motors = _follow(problem, rigid.stock, tips, motors)
+            ran = ran.finished(_remove_pending(problem.process, ran.pending()))
+            ran = ran.first(count)
+            walls, motors, is_reached = first_rows((walls, motors, is_reached), count)
+        walls, motors = jax.tree.map(on_device, (walls, motors))
         # On the host, since a device compiles these for every length.
         xp = jnp if is_traced((ran, rigid, is_reached)) else np
         is_cutting = xp.any(xp.asarray(rigid.force) != 0, axis=1)
@@ -162,11 +174,11 @@ class Solution(eqx.Module):
             force=ran.force,
             removed_volume=ran.removed_volume,
             shank_volume=ran.shank_volume,
-            surface_deviation=wall.deviation,
-            wall_share=wall.share,
-            contour_error=wall.contour_error,
+            surface_deviation=walls.deviation,
+            wall_share=walls.share,
+            contour_error=walls.contour_error,
             is_cutting=on_device(is_cutting),
-            motor_positions=wall.motors,
+            motor_positions=motors,
             joint_positions=ran.joint_positions,
             initial_overlap_volume=ran.initial_overlap_volume,
             has_failed=on_device(has_failed),
@@ -251,6 +263,7 @@ def simulate(
     adjoint: AbstractAdjoint | None = None,
     commanded: FloatRows3 | None = None,
     motors: FloatRows | None = None,
+    segment_periods: int = LONGEST,
 ) -> Solution:
     """Predict forces, deviation and the machined stock of a job.
 
@@ -258,7 +271,8 @@ def simulate(
         job: The job.
         throw: Whether to raise when the run does not succeed; not under `jit`, where
             `.result` tells.
-        on_progress: Called between the rigid and the coupled part.
+        on_progress: Called with a message and the share done: between the rigid and the
+            coupled part, and after each segment of a long path.
         adjoint: How to differentiate through the removal; `ThroughRays()` if not given.
             Under `jit` where nothing is differentiated, `FrozenStock()` is faster: ends
             then need not remember what made them.
@@ -266,6 +280,9 @@ def simulate(
             path [m], shape (step, 3); by default those of the job, if it has any.
         motors: Motor positions at the rows instead of those of `commanded`, before the
             controller [rad or m], shape (step, joint).
+        segment_periods: Tooth periods of a segment, rounded up to a multiple of 64. A
+            longer path is run in segments: what is compiled, and on the device at once,
+            then does not grow with the path. A job that is traced runs whole.
 
     Returns:
         The solution.
@@ -291,7 +308,9 @@ def simulate(
             raise ValueError("Argument `motors` must be None without a robot.")
         shape = job.path.step_count, job.robot.joint_count
         motors = _checked(motors, "motors", shape, dtype)
-    run = simulate_with_slot_growth(job, commanded, adjoint, tell, motors=motors)
+    run = simulate_with_slot_growth(
+        job, commanded, adjoint, tell, motors=motors, segment_periods=segment_periods
+    )
     solution = run.solution
     tell("done", 1.0)
     if throw and not isinstance(solution.actual, jax.core.Tracer):
@@ -338,6 +357,7 @@ def simulate_with_slot_growth(
     on_progress: OnProgress,
     *,
     motors: FloatRows | None = None,
+    segment_periods: int = LONGEST,
 ) -> SolvedJob:
     """Run a job, and again with more slots while its rays need more intervals.
 
@@ -347,53 +367,68 @@ def simulate_with_slot_growth(
         adjoint: How to differentiate through the removal.
         on_progress: Called with a message and the share done.
         motors: As of `simulate`.
+        segment_periods: As of `simulate`.
 
     Differentiability: as `simulate`; what is traced is run once.
     """
     if not is_traced((job, commanded)):
-        _prepare(job)
-    on_progress("rigid cut", 0.0)
-    rigid = rigid_cut(job, adjoint)
-    while (more := _with_more_intervals(job, rigid.result)) is not None:
-        job = more
-        on_progress(f"rigid cut again: {job.notes[-1]}", 0.0)
-        rigid = rigid_cut(job, adjoint)
-    on_progress("robot and cut", 0.4)
-    solution = Solution.of_command(job, rigid, commanded, adjoint, motors)
-    while (more := _with_more_intervals(job, solution.result)) is not None:
-        job = more
-        on_progress(f"robot and cut again: {job.notes[-1]}", 0.4)
-        solution = Solution.of_command(job, rigid, commanded, adjoint, motors)
+        _prepare(job, segment_periods)
+    count = job.path.step_count
+
+    def grown(
+        name: str, shares: tuple[float, float], run: Callable[[Job, SegmentPlan], Any]
+    ) -> tuple[Job, Any]:
+        """A run that has had slots enough, and its job."""
+        grown, first, last = job, *shares
+
+        def on_rows(done: int) -> None:
+            share = first + (last - first) * done / count
+            on_progress(f"{name}: {done} of {count} tooth periods", share)
+
+        on_progress(name, first)
+        while True:
+            counts = _more_intervals(grown)
+            found = run(
+                grown, SegmentPlan(segment_periods, on_rows, counts is not None)
+            )
+            is_over = counts is None or is_traced(found.result)
+            if is_over or not bool(found.result == RESULTS.interval_overflow):
+                return grown, found
+            grown = grown.with_intervals(counts)
+            on_progress(f"{name} again: {grown.notes[-1]}", first)
+
+    job, rigid = grown(
+        "rigid cut", (0.0, 0.4), lambda job, plan: rigid_cut(job, adjoint, plan=plan)
+    )
+    job, solution = grown(
+        "robot and cut",
+        (0.4, 1.0),
+        lambda job, plan: Solution.of_command(
+            job, rigid, commanded, adjoint, motors, plan=plan
+        ),
+    )
     return SolvedJob(job, solution)
 
 
-def _with_more_intervals(job: Job, result: RESULTS) -> Job | None:
-    """The job with twice the slots, if a run of it needs more than it has.
+def _more_intervals(job: Job) -> tuple[int, int, int] | None:
+    """Twice the slots of a job, for a run whose rays need more than it has.
 
     How many intervals a ray needs at once is known only when the program has been cut:
     a pocket cleared in many passes leaves strips that a ray crosses one by one. Every
     slot costs time and memory in each step, so a job begins with a few.
 
-    Args:
-        job: The job that was run.
-        result: Outcome of its run.
-
     Returns:
-        The job with a note; None if the run did not end so, if the job states its
-        number of intervals, under a transformation, or if there is no room for more.
-
-    **Differentiability**: runs on the host.
+        Slots along x, y and z; None if the job states their number, under a
+        transformation, or if there is no room for more.
     """
-    if is_traced(result) or job.keeps_intervals:
-        return None
-    if not bool(result == RESULTS.interval_overflow):
+    if job.keeps_intervals or is_traced(job):
         return None
     x, y, z = job.stock.interval_counts
     # A tool that stands upright never splits a ray along z.
     counts = (2 * x, 2 * y, 2 * z if job.simulation.axes else z)
     if max(counts) > _MOST_INTERVALS or job.stock.memory_with(counts).is_too_much:
         return None
-    return job.with_intervals(counts)
+    return counts
 
 
 def job_process(job: Job, derivative: AbstractAdjoint) -> Process:
@@ -469,6 +504,7 @@ def rigid_cut(
     *,
     along: Pose | None = None,
     chip_row: int = 0,
+    plan: SegmentPlan | None = None,
 ) -> Run:
     """Return the process alone on the desired path, as a rigid machine cuts it.
 
@@ -480,10 +516,15 @@ def rigid_cut(
         along: Poses at the rows of the path instead of those desired, shape (step, 3);
             the force at every angle sample and the chips of a revolution are then kept.
         chip_row: Row at which that revolution ends.
+        plan: How a long path is run in segments: tips are then kept at the tooth
+            instants alone.
 
     **Differentiability**: that of `simulate_process`.
     """
-    problem = MachiningProblem.padded(job, _needed(adjoint, (job, along)))
+    plan = SegmentPlan() if plan is None else plan
+    is_long = plan.suits(job.path, (job, along))
+    build = MachiningProblem.of if is_long else MachiningProblem.padded
+    problem = build(job, _needed(adjoint, (job, along)))
     count, total = job.path.step_count, problem.path.step_count
     tips = on_device(problem.path.positions)
     if along is not None:
@@ -491,16 +532,21 @@ def rigid_cut(
         tips, problem = rows.tip, dataclasses.replace(problem, axes=rows.axis)
     # For what is differentiated no chips are kept.
     row = None if is_traced((job, along)) else on_device(np.asarray(chip_row, np.int32))
-    cut = _cut_along(problem, tips, row)
-    cut = cut.finished(_remove_pending(problem.process, cut.pending()))
+
+    def cut_along(problem: MachiningProblem) -> Run:
+        if is_long:
+            return LongRun(problem, plan).cut(tips, chip_row)
+        cut = _cut_along(problem, tips, row)
+        return cut.finished(_remove_pending(problem.process, cut.pending()))
+
+    cut = cut_along(problem)
     if along is None:
         cut = dataclasses.replace(cut, instantaneous_force=None, chips=None)
         if job.cutter.has_runout:
             # The same cut, of a cutter that runs true.
             runout = lambda p: p.process.cutter.runout
             problem = eqx.tree_at(runout, problem, replace_fn=jnp.zeros_like)
-            pending = _cut_along(problem, tips, row).pending()
-            true = _remove_pending(problem.process, pending)
+            true = cut_along(problem)
             is_good = cut.result == RESULTS.successful
             result = RESULTS.where(is_good, true.result, cut.result)
             nominal = lambda run: (run.removal.stock, run.removal.result)
@@ -600,29 +646,13 @@ def _remove_pending(process: Process, pending: PendingRemoval) -> Removal:
     return pending.finish(process)
 
 
-class _Wall(eqx.Module):
-    """The machined wall of a run, and the motion of its motors.
-
-    Attributes:
-        deviation: As `Solution.surface_deviation`.
-        share: As `Solution.wall_share`.
-        contour_error: As of `Solution`.
-        motors: As `Solution.motor_positions`.
-    """
-
-    deviation: Float[Array, "step 3"]
-    share: Float[Array, " step"]
-    contour_error: Float[Array, " step"]
-    motors: Float[Array, "step joint"] | None
-
-
 @CachedJit
 def _follow(
     problem: MachiningProblem,
     finished: Stock,
     tips: Float[Array, "step 3"],
     motors: Float[Array, "step joint"] | None,
-) -> tuple[Run, _Wall]:
+) -> Followed:
     """Run of a command, but for its pending removals, against what a rigid cut leaves.
 
     Args:
@@ -632,7 +662,6 @@ def _follow(
         motors: The motors' positions for them; None for a rigid machine.
     """
     path, process = problem.path, problem.process
-    desired = jnp.asarray(path.positions)
     if problem.machine is None:
         # A rigid machine goes where it is told.
         ran, ends = _cut_along(problem, tips, None), tips[:, None]
@@ -643,11 +672,10 @@ def _follow(
             motors = problem.controller.motors(motors, process.tooth_period)
         ran = problem.machine.run_rows(process, motors, path.row_count)
         ends = ran.ends
-    share = wall_shares(desired, problem.axes, process.cutter, finished)
-    deviation = path.disturbed(wall_deviation(ends, desired, share))
-    error = contour_error(desired + deviation, desired)
+    rows = WallRows(path.positions, problem.axes, path.disturbance, ends)
     is_arm = ran.joint_positions is not None
-    return ran, _Wall(deviation, share, error, motors if is_arm else None)
+    walls = rows.walls(process.cutter, finished)
+    return Followed(ran, walls, motors if is_arm else None)
 
 
 def _needed(adjoint: AbstractAdjoint, arguments: object) -> AbstractAdjoint:
@@ -658,9 +686,9 @@ def _needed(adjoint: AbstractAdjoint, arguments: object) -> AbstractAdjoint:
     return adjoint if is_traced(arguments) else FrozenStock()
 
 
-def _prepare(job: Job) -> None:
+def _prepare(job: Job, segment_periods: int) -> None:
     """Compile the run of a command while the rigid cut is compiled and runs."""
-    if job.is_rigid:
+    if job.is_rigid or SegmentPlan(segment_periods).suits(job.path, job):
         return
     problem = MachiningProblem.padded(job, FrozenStock())
     steps, dtype = problem.path.step_count, np.dtype(job.simulation.precision)

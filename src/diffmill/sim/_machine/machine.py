@@ -23,11 +23,18 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from ..._arrays import first_rows
-from ..._padding import if_valid, last_row, live_rows, scan_rows
+from ..._padding import (
+    count_run,
+    if_valid,
+    last_row,
+    live_rows,
+    scan_rows,
+    whole_parts,
+)
 from ..._result import RESULTS
 from ..._types import IntScalar
 from ...process import Engagement, Process, ProcessState, RemovedVolume
-from ...workpiece import Pose, PoseTrack, Stock
+from ...workpiece import Pose, PoseTrack, Rays, Stock
 
 
 class RunState(eqx.Module):
@@ -37,11 +44,46 @@ class RunState(eqx.Module):
         process: The stock, less the poses that wait for removal, and these.
         machine: The machine's own state, a tree.
         period_count: Tooth periods run so far, which tell the tooth that is next.
+        cut_by: What cut the ends of each family of rays, as `Rays.poses` of the whole
+            run, shapes (u, v, 2, slot): the stock of the process forgets what earlier
+            segments cut. None where that is not asked for.
     """
 
     process: ProcessState
     machine: PyTree
     period_count: Int[Array, ""]
+    cut_by: tuple[Int[Array, "..."], ...] | None = None
+
+    def stock(self) -> Stock:
+        """The stock, whose ends remember what cut them in the whole run."""
+        stock = self.process.stock
+        if self.cut_by is None:
+            return stock
+        pairs = zip(stock.families, self.cut_by, strict=True)
+        families = tuple(Rays(rays.ends, poses) for rays, poses in pairs)
+        return eqx.tree_at(lambda s: s.families, stock, families)
+
+    def ended(
+        self,
+        process: ProcessState,
+        machine: PyTree,
+        first: Int[Array, ""],
+        count: IntScalar | int,
+    ) -> "RunState":
+        """State after further periods.
+
+        Args:
+            process: The process then.
+            machine: The machine's state then.
+            first: Index in the track of the row that this is the state at, shape ().
+            count: How many periods they are.
+        """
+        cut_by = self.cut_by
+        if cut_by is not None:
+            later = (self.period_count - first) * Rays.TICKS
+            pairs = zip(process.stock.families, cut_by, strict=True)
+            cut_by = tuple(rays.cut_by(poses, later) for rays, poses in pairs)
+        return RunState(process, machine, self.period_count + count, cut_by)
 
 
 class PeriodRow(NamedTuple):
@@ -269,7 +311,7 @@ class AbstractMachine(eqx.Module):
 
         Args:
             process: The process.
-            command: The first rows of what the machine is told; three count.
+            command: As for `run_segment`, of which the first three rows count.
 
         Differentiability: as `run`.
         """
@@ -279,18 +321,28 @@ class AbstractMachine(eqx.Module):
         return RunState(moved, state.machine, state.period_count)
 
     def run_segment(
-        self, process: Process, command: PyTree, state: RunState
+        self,
+        process: Process,
+        command: PyTree,
+        state: RunState,
+        row_count: IntScalar | None = None,
     ) -> "RunSegment":
         """Run some periods from where an earlier run ended.
 
         Args:
             process: The process; its stock is the state's.
-            command: As for `run`; row 0 is the last row of the segment before.
+            command: As for `run`, for a rigid machine a `PathPiece`; row 0 is the last
+                row of the segment before.
             state: State at row 0, of `begin_run` or of the segment before.
+            row_count: How many rows count, of a segment that may end the run; its
+                periods are then whole parts, see `whole_parts`. All if not given.
 
         Returns:
             The rows, and the state at the last of them; nothing of the queue is
             removed.
+
+        Raises:
+            ValueError: The periods are no whole parts.
 
         Differentiability: as `run`; the state is differentiable but for the ends of
         rays, and under `ThroughPoses` the segment depends on earlier ones by the
@@ -299,20 +351,62 @@ class AbstractMachine(eqx.Module):
         # Ends that no pose of the segment cuts are those of the stock that it begins
         # with.
         process = eqx.tree_at(lambda p: p.stock, process, state.process.stock)
-        rows = self.rows(process, command, None)
+        rows = self.rows(process, command, row_count)
         count, history = _length(rows), process.removal.row_count
+        if row_count is not None and count != whole_parts(count):
+            raise ValueError(
+                f"Argument `command` must have {whole_parts(count) + 1} rows where "
+                f"`row_count` is given, but has {count + 1}."
+            )
         started, first = continued(process, state, count)
-        ended, periods = _run_periods(self, process, started, first, rows)
+        # Index of row 0 in the track.
+        start, end = first - 1, None
+        if row_count is not None:
+            end = start + jnp.asarray(row_count, jnp.int32)
+        ended, periods = _run_periods(self, process, started, first, rows, end)
         final = self.pose(process, ended.machine)
-        last = jnp.asarray(count, jnp.int32)
+        last = last_row(count + 1, row_count)
         joints = self.joint_positions(ended.machine)
-        kept = _renumbered(ended.process, first - 1 - history + count, history)
+        index = first + jnp.arange(count, dtype=jnp.int32)
+        standing_rows = process.removal.standing_rows
+        ran = count_run(live_rows(index, end), count, standing_rows)
+        removed = periods.removed
+        state = state.ended(ended.process, ended.machine, start, ran)
+        kept = _renumbered(ended.process, start - history + ran, history)
         return RunSegment(
-            _at_instants(periods.tip, final.tip, last),
-            all_ends(periods),
-            prepend_zeros(periods.force),
-            _at_instants(periods.joint_positions, joints, last),
-            RunState(kept, ended.machine, state.period_count + count),
+            actual=_at_instants(periods.tip, final.tip, last),
+            ends=all_ends(periods),
+            force=prepend_zeros(periods.force),
+            joint_positions=_at_instants(periods.joint_positions, joints, last),
+            removed=dataclasses.replace(removed, pose=removed.pose - start),
+            has_failed=periods.has_failed,
+            standing_count=ran - last,
+            state=dataclasses.replace(state, process=kept),
+        )
+
+    def finish_run(
+        self, process: Process, state: RunState, standing_count: Int[Array, ""]
+    ) -> "RunEnd":
+        """Remove the poses that are pending behind the last segment of a run.
+
+        Args:
+            process: The process; its stock is the state's.
+            state: State after the last segment.
+            standing_count: That of the last segment.
+
+        Differentiability: as `run_segment`.
+        """
+        process = eqx.tree_at(lambda p: p.stock, process, state.process.stock)
+        started, first = continued(process, state, 0)
+        last = first - 1 - standing_count
+        pose = self.pose(process, state.machine)
+        ended, removed = process.removal.finish(started.process, last, pose, first)
+        state = state.ended(ended, state.machine, first - 1, 0)
+        return RunEnd(
+            state.stock(),
+            dataclasses.replace(removed, pose=removed.pose - last),
+            ended.has_overflow,
+            ended.has_left_window,
         )
 
 
@@ -364,11 +458,7 @@ class PendingRemoval(eqx.Module):
 
         failed = jnp.concatenate([jnp.zeros(1, bool), self.has_failed])
         failed = failed.at[self.last].set(failed[self.last] | ended.has_failed)
-        result = RESULTS.where(
-            ended.has_left_window, RESULTS.window_overflow, RESULTS.successful
-        )
-        result = RESULTS.where(ended.has_overflow, RESULTS.interval_overflow, result)
-        result = RESULTS.where(self.is_finite, result, RESULTS.non_finite)
+        result = outcome(ended, self.is_finite)
         return Removal(
             removed_volume=by_pose(self.removed.volume, newest.volume),
             shank_volume=by_pose(self.removed.by_shank, newest.by_shank),
@@ -376,6 +466,20 @@ class PendingRemoval(eqx.Module):
             has_failed=failed,
             result=result,
         )
+
+
+def outcome(ended: "ProcessState | RunEnd", is_finite: Bool[Array, ""]) -> RESULTS:
+    """Outcome of a run.
+
+    Args:
+        ended: What its flags say at its end.
+        is_finite: Whether all that was computed is finite, shape ().
+    """
+    result = RESULTS.where(
+        ended.has_left_window, RESULTS.window_overflow, RESULTS.successful
+    )
+    result = RESULTS.where(ended.has_overflow, RESULTS.interval_overflow, result)
+    return RESULTS.where(is_finite, result, RESULTS.non_finite)
 
 
 class Run(eqx.Module):
@@ -466,14 +570,43 @@ class RunSegment(eqx.Module):
     """Solution of one segment of a run.
 
     Attributes as of `Run`, and:
-        state: State at the last row. What still waits for removal is in it.
+        removed: Volumes removed in each period; poses are counted from row 0, and those
+            of earlier segments are below it.
+        has_failed: Whether a flag was up after each period, shape (period,).
+        standing_count: Periods run behind the last row that counts, in which the tool
+            stands, shape ().
+        state: State after them. What still waits for removal is in it.
     """
 
     actual: Float[Array, "step 3"]
     ends: Float[Array, "step substep 3"]
     force: Float[Array, "step 3"]
     joint_positions: Float[Array, "step joint"] | None
+    removed: RemovedVolume
+    has_failed: Bool[Array, " period"]
+    standing_count: Int[Array, ""]
     state: RunState
+
+
+class RunEnd(eqx.Module):
+    """Stock and outcome of a run in segments, after its pending removals.
+
+    Attributes:
+        stock: The final stock.
+        removed: Volumes removed at the end; poses are counted from the last row.
+        has_overflow: Whether a ray ran out of slots, shape ().
+        has_left_window: Whether the tool reached beyond its window, shape ().
+    """
+
+    stock: Stock
+    removed: RemovedVolume
+    has_overflow: Bool[Array, ""]
+    has_left_window: Bool[Array, ""]
+
+    @property
+    def has_failed(self) -> Bool[Array, ""]:
+        """True if a flag is up, shape ()."""
+        return self.has_overflow | self.has_left_window
 
 
 def continued(

@@ -32,16 +32,36 @@ from .machine import (
 )
 
 
-class PathRow(eqx.Module):
-    """Poses of one tooth period.
+class PathPiece(eqx.Module):
+    """Some rows of a path, with the row before them and the row behind them.
+
+    The curve between two instants follows from their neighbours. Before the first row
+    of a path it goes straight on.
 
     Attributes:
+        poses: Poses at all of these rows, shape (step + 2, 3).
+        row_count: How many of them are of the path, the first ones, shape (); the curve
+            goes straight on behind the last.
+        first: Row of the path at which the piece begins, shape ().
+    """
+
+    poses: Pose
+    row_count: Int[Array, ""]
+    first: Int[Array, ""]
+
+
+class PathRow(eqx.Module):
+    """Poses of one tooth period, or of several.
+
+    Attributes:
+        number: Row of the path at its end, shape (*period,).
         start: At its start, shape (3,).
         middles: In the middle of its sub-steps, shape (substep, 3).
         ends: At their ends, shape (substep, 3).
         stop: At its end, shape (3,).
     """
 
+    number: Int[Array, "*period"]
     start: Pose
     middles: Pose
     ends: Pose
@@ -65,6 +85,8 @@ class RigidState(eqx.Module):
 class Rigid(AbstractMachine):
     """A machine that goes where it is told; its command are poses of the tool.
 
+    In a run in segments its command is a `PathPiece`.
+
     Between the tooth instants the tool goes along a smooth curve through them.
 
     Attributes:
@@ -76,29 +98,39 @@ class Rigid(AbstractMachine):
     keeps_instantaneous: bool = eqx.field(static=True, default=False)
     chip_row: Int[Array, ""] | None = None
 
-    def begin(self, process: Process, command: Pose) -> RigidState:
+    def begin(self, process: Process, command: Pose | PathPiece) -> RigidState:
         """Return the first pose, and room for chips."""
+        start = command.poses[1] if isinstance(command, PathPiece) else command[0]
         if self.chip_row is None:
-            return RigidState(command[0])
+            return RigidState(start)
         count, substeps = process.cutter.flute_count, process.engagement.substeps
-        middles = command[0].repeated(substeps)
+        middles = start.repeated(substeps)
 
         def chips() -> TurnChips:
-            state = process.begin(command[0], 1)
+            state = process.begin(start, 1)
             cut = process.engage(state, jnp.ones((), jnp.int32), middles)
             return _turn_chips(process, cut, middles, state.recent)
 
         room = jax.tree.map(
             lambda x: jnp.zeros((count + 1, *x.shape), x.dtype), jax.eval_shape(chips)
         )
-        return RigidState(command[0], room)
+        return RigidState(start, room)
 
     def rows(
-        self, process: Process, command: Pose, row_count: IntScalar | None
+        self, process: Process, command: Pose | PathPiece, row_count: IntScalar | None
     ) -> PathRow:
         """Return the poses of all periods."""
-        middles, ends = process.poses_within(command, row_count)
-        return PathRow(command[:-1], middles, ends, command[1:])
+        if isinstance(command, PathPiece):
+            poses, first = command.poses, command.first
+            within = process.poses_within(poses, command.row_count)
+            middles, ends = jax.tree.map(lambda x: x[1:-1], within)
+            start, stop = poses[1:-2], poses[2:-1]
+        else:
+            first = jnp.zeros((), jnp.int32)
+            middles, ends = process.poses_within(command, row_count)
+            start, stop = command[:-1], command[1:]
+        number = first + jnp.arange(1, start.tip.shape[0] + 1, dtype=jnp.int32)
+        return PathRow(number, start, middles, ends, stop)
 
     def pose(self, process: Process, state: RigidState) -> Pose:
         """Return the pose that is reached."""
@@ -130,12 +162,12 @@ class Rigid(AbstractMachine):
         )[:, :3]
         if chips is not None and self.chip_row is not None:
             teeth = process.cutter.flute_count
-            periods_left = self.chip_row - row.period
+            periods_left = self.chip_row - poses.number
             is_kept = (periods_left >= 0) & (periods_left < teeth)
             newest = if_valid(
                 is_kept, lambda: _turn_chips(process, cut, middles, recent)
             )
-            place = jnp.where(is_kept, jnp.mod(row.period, teeth), teeth)
+            place = jnp.where(is_kept, jnp.mod(poses.number, teeth), teeth)
             chips = jax.tree.map(lambda x, new: x.at[place].set(new), chips, newest)
         cutting = cutting.ended(middles, poses.ends)
         stop = if_valid(row.is_live, lambda: poses.stop, before.pose)

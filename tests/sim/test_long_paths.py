@@ -1,0 +1,133 @@
+"""A long path that runs in segments gives the results of one that runs whole."""
+
+import dataclasses
+
+import jax
+import numpy as np
+import pytest
+from slides_job import ROBOT, with_machine, write_slides_job
+
+import diffmill as dm
+from small_job import ARM, job_text
+
+# Cuts of other segments are crossed again; it begins in the stock, and dwells.
+PROGRAM = """G21 G17 G90 G94
+G0 X1 Y-2 Z-0.8
+G1 X6 F2000
+G4 P0.1
+G1 Y1
+G1 X-2
+G1 Y7 X7
+M2
+"""
+JOB = {
+    "stock.lower": ["0 mm", "0 mm", "-2 mm"],
+    "program.acceleration": "0.5 m/s^2",
+    "robot": ROBOT,
+    "simulation": {"substeps": 4},
+}
+UNEVEN = {
+    "cutter.teeth": 3,
+    "cutter.pitch": ["110 deg", "130 deg", "120 deg"],
+    "cutter.runout": "10 um",
+    "cutter.helix_angle": "20 deg",
+}
+MODES = "[machine]\n" + "".join(
+    f"""
+[[machine.modes]]
+frequency = "18 Hz"
+damping_ratio = 0.1
+direction = {[int(axis == k) for k in range(3)]}
+mass = "80 kg"
+"""
+    for axis in range(3)
+)
+# Tooth periods of a segment.
+SEGMENT = 64
+KINDS = {
+    "rigid": {"robot": {"rigid": True}},
+    "elastic": {
+        "controller": {
+            "interpolation_cycle": "12 ms",
+            "bandwidth": "20 Hz",
+            "moving_average": "15 ms",
+        }
+    },
+    "quasi-static": {"simulation.mode": "quasistatic"},
+    "uneven": UNEVEN,
+    "uneven, rigid": UNEVEN | {"robot": {"rigid": True}},
+    "point cloud": {"simulation.chip": "point_cloud"},
+    "shank": {"cutter.flute_length": "0.5 mm"},
+    "tilted": {
+        "cutter.kind": "ball",
+        "cutter.diameter": "6 mm",
+        "robot": ARM,
+        "simulation.tool_tilt": True,
+    },
+    "modes": {},
+}
+FAST = ("rigid", "elastic")
+SLOW = pytest.mark.slow
+
+
+def job_of(folder, kind, **changes):
+    """Return a job of a kind, with a gentle disturbance that a machine showed."""
+    write_slides_job(folder, program=PROGRAM)
+    text = job_text(JOB, KINDS[kind], changes)
+    if kind == "modes":
+        text = with_machine(text, MODES)
+    (folder / "job.toml").write_text(text)
+    job = dm.load_job(folder / "job.toml")
+    if job.is_rigid:
+        return job
+    wave = 1e-6 * np.sin(0.1 * np.arange(3 * job.path.step_count)).reshape(-1, 3)
+    path = dataclasses.replace(job.path, disturbance=wave)
+    return dataclasses.replace(job, path=path)
+
+
+def assert_same(found, wanted):
+    """Compare all that two solutions hold, but the tips within the rigid periods."""
+    rigid = lambda run: dataclasses.replace(run, ends=run.actual[:, None])
+    found, wanted = (
+        dataclasses.replace(x, rigid=rigid(x.rigid)) for x in (found, wanted)
+    )
+    pairs = zip(*map(jax.tree_util.tree_leaves_with_path, (found, wanted)), strict=True)
+    for (name, one), (_, other) in pairs:
+        one, other = np.asarray(one), np.asarray(other)
+        if one.dtype.kind != "f":
+            assert np.array_equal(one, other), name
+        else:
+            largest = np.abs(other[np.isfinite(other)]).max(initial=1e-9)
+            np.testing.assert_allclose(one, other, 0, 1e-9 * largest, err_msg=str(name))
+
+
+@pytest.mark.parametrize(
+    "kind", [pytest.param(x, marks=() if x in FAST else SLOW) for x in KINDS]
+)
+def test_a_path_in_segments_is_the_path(tmp_path, kind):
+    job, told = job_of(tmp_path, kind), []
+    wanted = dm.simulate(job, throw=False)
+    tell = lambda message, share: told.append((message, share))
+    found = dm.simulate(job, throw=False, segment_periods=SEGMENT, on_progress=tell)
+    rows = job.path.step_count
+    assert 3 * SEGMENT < rows and float(wanted.initial_overlap_volume) > 1e-10
+    assert float(np.asarray(wanted.removed_volume)[2 * SEGMENT :].sum()) > 1e-10
+    if kind == "shank":
+        assert float(np.sum(wanted.shank_volume)) > 1e-9
+    assert_same(found, wanted)
+    shares = [share for _, share in told]
+    assert shares == sorted(shares) and shares[-1] == 1
+    assert any(f"of {rows} tooth periods" in message for message, _ in told)
+
+
+@pytest.mark.slow
+def test_an_overflow_is_told_where_it_is(tmp_path):
+    """With more slots a run in segments begins anew, but not where they are stated."""
+    job = job_of(tmp_path, "rigid", **{"stock.intervals": [1, 1, 1]})
+    wanted = dm.simulate(job, throw=False)
+    assert np.any(wanted.has_failed) and not np.all(wanted.has_failed)
+    assert_same(dm.simulate(job, throw=False, segment_periods=SEGMENT), wanted)
+    free = dataclasses.replace(job, keeps_intervals=False)
+    grown = dm.simulate(free, segment_periods=SEGMENT)
+    assert_same(grown, dm.simulate(free))
+    assert max(grown.stock.interval_counts) > 1
