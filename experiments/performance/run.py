@@ -18,6 +18,7 @@ GROUPS = (
     "deep",
     "linear",
     "lengths",
+    "long",
     "batch",
     "process",
     "expected",

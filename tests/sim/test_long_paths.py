@@ -1,6 +1,7 @@
 """A long path that runs in segments gives the results of one that runs whole."""
 
 import dataclasses
+import re
 
 import jax
 import numpy as np
@@ -8,7 +9,8 @@ import pytest
 from slides_job import ROBOT, with_machine, write_slides_job
 
 import diffmill as dm
-from small_job import ARM, job_text
+from diffmill.cli import main
+from small_job import ARM, job_text, write_job
 
 # Cuts of other segments are crossed again; it begins in the stock, and dwells.
 PROGRAM = """G21 G17 G90 G94
@@ -112,6 +114,8 @@ def test_a_path_in_segments_is_the_path(tmp_path, kind):
     rows = job.path.step_count
     assert 3 * SEGMENT < rows and float(wanted.initial_overlap_volume) > 1e-10
     assert float(np.asarray(wanted.removed_volume)[2 * SEGMENT :].sum()) > 1e-10
+    least, largest = np.moveaxis(np.asarray(wanted.force_range), 1, 0)
+    assert np.all((least <= wanted.force) & (wanted.force <= largest))
     if kind == "shank":
         assert float(np.sum(wanted.shank_volume)) > 1e-9
     assert_same(found, wanted)
@@ -131,3 +135,22 @@ def test_an_overflow_is_told_where_it_is(tmp_path):
     grown = dm.simulate(free, segment_periods=SEGMENT)
     assert_same(grown, dm.simulate(free))
     assert max(grown.stock.interval_counts) > 1
+
+
+@pytest.mark.slow
+def test_a_long_path_is_simulated_from_the_command_line(tmp_path, capsys):
+    """It tells the time left, and its figures show a few periods."""
+    changes = {
+        "program.file": "part.ngc",
+        "stock.upper": ["4 mm", "4 mm", "0 mm"],
+        "stock.spacing": "1 mm",
+        "cutter.diameter": "6 mm",
+        "simulation": {"angles": 16, "substeps": 1},
+    }
+    program = "G21 G17 G90 G94\nG0 X-4 Y2 Z-1\nG1 X7 F9\nM2\n"
+    file = write_job(tmp_path, changes, program=program)
+    assert main(["simulate", str(file), "--out", str(tmp_path / "out")]) == 0
+    said = capsys.readouterr().err
+    assert re.search(r"of \d{5} tooth periods, about \d+ (s|min) left", said)
+    assert (tmp_path / "out" / "forces.png").exists()
+    assert (tmp_path / "out" / "chip.png").exists()

@@ -290,6 +290,24 @@ def test_tooth_means_have_neither_zoom_nor_filter(period):
     assert [len(axes.lines) for axes in panels_of(figure)] == [1, 1, 1]
 
 
+def test_forces_of_rows_show_their_range_and_a_window():
+    time = 1e-3 * np.arange(2000)
+    force = np.stack([np.full(2000, 50.0)] * 3, axis=1)
+    extremes = np.stack([force - 60, force + 70 + 20 * (time > 1)[:, None]], axis=1)
+    samples = 50 + 60 * np.sin(np.linspace(0, 6, 7 * 5 * 3)).reshape(7, 5, 3)
+    window = ForceTrace.from_periods(time[500:507], samples)
+    record = ForceTrace.of_rows(time, force, extremes, window=window)
+    figure = plot_forces(record)
+    whole, detail = panels_of(figure)[:2]
+    heights = whole.collections[0].get_paths()[0].vertices[:, 1]
+    assert heights.min() == -10 and heights.max() == 140
+    np.testing.assert_allclose(whole.lines[-1].get_ydata(), 50, rtol=1e-6)
+    np.testing.assert_array_equal(detail.lines[0].get_ydata(), window.force[:, 0])
+    (legend,) = figure.legends
+    texts = " ".join(text.get_text() for text in legend.get_texts())
+    assert "5 samples per tooth" in texts and "low-pass" in texts
+
+
 def test_uneven_force_record_is_refused():
     with pytest.raises(ValueError, match="`time`"):
         ForceTrace(np.array([0.0, 1.0, 3.0]), np.zeros((3, 3)))

@@ -58,9 +58,15 @@ def tooth_means(record):
 def test_replayed_forces_are_those_of_the_run(tmp_path, changes, options):
     job, solution = solved(tmp_path, changes, **options)
     record = figure_inputs(job, {"predicted": solution})["forces"]
-    force = np.asarray(solution.force)[1:]
-    assert np.abs(force).max() > 10.0
-    np.testing.assert_allclose(tooth_means(record), force, atol=1e-9 * force.max())
+    window, force = record.window, np.asarray(solution.force)
+    rows = np.unique(np.ceil(window.time / PERIOD).astype(int))
+    assert len(rows) == 6 and np.abs(force[rows]).max() > 10.0
+    atol = 1e-9 * np.abs(force).max()
+    np.testing.assert_allclose(tooth_means(window), force[rows], atol=atol)
+    np.testing.assert_allclose(record.force, force, atol=atol)
+    samples = window.force.reshape(6, -1, 3)
+    extremes = np.stack([samples.min(axis=1), samples.max(axis=1)], axis=1)
+    np.testing.assert_allclose(record.force_range[rows], extremes, atol=atol)
 
 
 def test_the_surface_that_is_mapped_is_that_of_the_chosen_case(tmp_path):

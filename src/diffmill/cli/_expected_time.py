@@ -25,12 +25,12 @@ def expected_time_line(job: "Job") -> str:
         job: The job.
     """
     run = _run_time(job)
-    text = f"simulate about {_spelled(run)}"
+    text = f"simulate about {spelled(run)}"
     if not job.is_rigid and job.correction.method.uses_linear_run:
-        text += f", correct about {_spelled(_correction_time(job, run))}"
+        text += f", correct about {spelled(_correction_time(job, run))}"
     if job.simulation.has_sensitivity:
         runs = _PARAMETER_RUNS * len(job.parameter_names)
-        text += f", the sensitivity about {_spelled(_COUPLED * runs * run)} more"
+        text += f", the sensitivity about {spelled(_COUPLED * runs * run)} more"
     return (
         f"  expected: {text}, within a factor of 3; a first job of its kind compiles "
         "for a minute more, figures take some seconds"
@@ -49,8 +49,8 @@ def expected_campaign_line(job: "Job", command: str, count: int) -> str:
     if command == "correct":
         each = _correction_time(job, each)
     return (
-        f"  expected: about {_spelled(each)} a job once its programs are compiled, "
-        f"{_spelled(count * each)} of one worker, within a factor of 3; each kind of "
+        f"  expected: about {spelled(each)} a job once its programs are compiled, "
+        f"{spelled(count * each)} of one worker, within a factor of 3; each kind of "
         "job compiles for half a minute more: other spindle speeds, sizes of the stock "
         "and choices are kinds of their own, other numbers are not"
     )
@@ -86,7 +86,7 @@ def _row_time(job: "Job") -> float:
     return spent if engagement.is_upright else spent + _TILTED * (rays / 50) ** 2
 
 
-def _spelled(seconds: float) -> str:
+def spelled(seconds: float) -> str:
     """Time in a unit that suits it, as text."""
     if seconds < 90:
         return f"{max(seconds, 1.0):.0f} s"

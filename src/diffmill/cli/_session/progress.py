@@ -1,5 +1,6 @@
 """Display of the progress of a run."""
 
+import statistics
 import threading
 import time
 from types import TracebackType
@@ -7,11 +8,14 @@ from types import TracebackType
 from rich.console import Console
 
 from ..._messages import printable
+from .._expected_time import spelled
 
 # A shorter compilation gets no line [s].
 _LEAST_COMPILATION = 0.2
 # Without a terminal a line says every so often that something still goes on [s].
 _LONGEST_SILENCE = 8.0
+# Steps of a run, by the latest of which the time left is told; the first one compiles.
+_LATEST, _LEAST_STEPS = 5, 2
 _COMPILE_EVENT = "/backend_compile_duration"
 
 
@@ -39,6 +43,8 @@ class Progress:
         self._status = self._console.status("starting")
         self._start = time.perf_counter()
         self._has_begun = False
+        # Share done, and when; time for all of the run, at the pace of each step [s].
+        self._done, self._paces = (0.0, self._start), list[float]()
         self._message, self._compiling, self._said = "starting", 0, 0.0
         self._is_over = threading.Event()
 
@@ -47,6 +53,7 @@ class Progress:
         import jax
 
         self._start = self._said = time.perf_counter()
+        self._done, self._paces = (0.0, self._start), []
         if self.is_verbose and not self._has_begun:
             self.say(_versions())
         jax.monitoring.register_scalar_listener(self._compiles)
@@ -86,9 +93,23 @@ class Progress:
         """
         if self.is_quiet:
             return
-        part = "" if share is None else f"{100 * share:3.0f} %  "
-        self._show(f"{part}{message}", stays=self.is_verbose)
+        part, left = "", ""
+        if share is not None:
+            part, left = f"{100 * share:3.0f} %  ", self._time_left(share)
+        self._show(f"{part}{message}{left}", stays=self.is_verbose)
         self._message = f"{part}{then or message}"
+
+    def _time_left(self, share: float) -> str:
+        """Words on the time left at the pace of the latest steps; none at the ends."""
+        now, (before, then) = time.perf_counter(), self._done
+        if share <= before:
+            return ""
+        self._done = share, now
+        self._paces = [*self._paces, (now - then) / (share - before)][-_LATEST:]
+        if len(self._paces) < _LEAST_STEPS or share >= 1:
+            return ""
+        left = (1 - share) * statistics.median(self._paces)
+        return f", about {spelled(left)} left"
 
     def begin(self, message: str) -> None:
         """Set the present step, which is shown if it takes long."""

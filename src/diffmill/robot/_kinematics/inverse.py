@@ -161,7 +161,7 @@ def inverse_kinematics_path(
             tool_rotation,
             attempts,
             on_device(np.asarray(len(rows), np.int32)),
-            on_device(np.asarray(first > 0)),
+            is_begun=on_device(np.asarray(first > 0)),
         )
         found = jax.device_get(first_rows(found, len(rows)))
         start = on_device(found.q[-1])
@@ -190,6 +190,7 @@ def _solve_path(
     tool_rotation: ToolRotation,
     attempts: int,
     row_count: Int[Array, ""] | None,
+    *,
     is_begun: Bool[Array, ""] | None = None,
 ) -> JointSolution:
     def follow(q, T, _):

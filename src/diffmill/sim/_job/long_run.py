@@ -74,27 +74,27 @@ class LongRun(NamedTuple):
     problem: "MachiningProblem"
     plan: SegmentPlan
 
-    @property
-    def _segments(self) -> Segments:
-        length = whole_parts(self.plan.periods) + 1
-        return Segments(self.problem.path.step_count, length)
-
     def cut(self, tips: FloatRows3, chip_row: int = 0) -> Run:
         """Run of a rigid machine, whose tips are kept at the tooth instants alone.
 
         Args:
-            tips: Tips at the rows of the path [m], shape (step, 3).
+            tips: Tips at the rows of the path, or at its first rows [m], shape (step,
+                3).
             chip_row: Row at which the revolution ends whose chips are kept.
         """
         machine = Rigid(chip_row=on_device(np.asarray(chip_row, np.int32)))
         tips, axes = np.asarray(tips), self.problem.axes
-        axes, force = None if axes is None else np.asarray(axes), np.zeros_like(tips)
+        axes = None if axes is None else np.asarray(axes)
+        force, force_range = _no_force(tips)
         ran = self._run(
             machine,
+            len(tips),
             lambda segment: _path_piece(tips, axes, segment),
-            lambda segment, ran: segment.put(force, ran.force),
+            lambda segment, ran: segment.put(
+                (force, force_range), (ran.force, ran.force_range)
+            ),
         )
-        return self._whole(ran, (tips, tips[:, None], force, None))
+        return self._whole(ran, (tips, tips[:, None], force, force_range, None))
 
     def follow(
         self, finished: Stock, tips: FloatRows3, motors: FloatRows | None
@@ -117,7 +117,7 @@ class LongRun(NamedTuple):
             rows = (
                 np.zeros_like(tips),
                 np.zeros((len(tips), substeps, 3), tips.dtype),
-                np.zeros_like(tips),
+                *_no_force(tips),
                 np.zeros_like(told) if is_arm else None,
             )
 
@@ -126,19 +126,27 @@ class LongRun(NamedTuple):
                 return command
 
             def take(segment: PathSegment, ran: RunSegment) -> None:
-                new = (ran.actual, ran.ends, ran.force, ran.joint_positions)
-                segment.put(rows, new)
+                force = ran.force, ran.force_range
+                segment.put(rows, (ran.actual, ran.ends, *force, ran.joint_positions))
 
-            run = self._whole(self._run(problem.machine, command, take), rows)
+            ran = self._run(problem.machine, len(tips), command, take)
+            run = self._whole(ran, rows)
             told = told if is_arm else None
         path = problem.path
         walls = WallRows(path.positions, problem.axes, path.disturbance, run.ends)
-        cutter = problem.process.cutter
-        return Followed(run, walls.long_walls(cutter, finished, self._segments), told)
+        walls = walls.long_walls(
+            problem.process.cutter, finished, self._segments(len(tips))
+        )
+        return Followed(run, walls, told)
+
+    def _segments(self, row_count: int) -> Segments:
+        """Segments of a path of so many rows."""
+        return Segments(row_count, whole_parts(self.plan.periods) + 1)
 
     def _run(
         self,
         machine: AbstractMachine,
+        row_count: int,
         command: Callable[[PathSegment], PyTree],
         take: Callable[[PathSegment, RunSegment], None],
     ) -> SegmentedRun:
@@ -150,23 +158,31 @@ class LongRun(NamedTuple):
             overflows = bool(ran.state.process.has_overflow)
             return not (overflows and self.plan.stops_at_overflow)
 
-        process = self.problem.process
-        return run_in_segments(machine, process, self._segments, command, took)
+        process, segments = self.problem.process, self._segments(row_count)
+        return run_in_segments(machine, process, segments, command, took)
 
     def _whole(self, ran: SegmentedRun, rows: PyTree) -> Run:
-        """The run with its rows: tips, ends, forces and joints."""
-        actual, ends, force, joints = jax.tree.map(on_device, rows)
+        """The run with its rows: tips, ends, forces, their range, and joints."""
+        actual, ends, force, force_range, joints = jax.tree.map(on_device, rows)
         period = float(self.problem.process.tooth_period)
         return Run(
             time=on_device(period * np.arange(len(actual), dtype=actual.dtype)),
             actual=actual,
             ends=ends,
             force=force,
+            force_range=force_range,
             joint_positions=joints,
             initial_overlap_volume=ran.initial_overlap_volume,
             removal=ran.removal,
             chips=ran.chips,
         )
+
+
+def _no_force(
+    tips: Float[np.ndarray, "step 3"],
+) -> tuple[Float[np.ndarray, "step 3"], Float[np.ndarray, "step 2 3"]]:
+    """Mean forces and their range in all rows, before they are known."""
+    return np.zeros_like(tips), np.zeros((len(tips), 2, 3), tips.dtype)
 
 
 def _path_piece(

@@ -1,4 +1,4 @@
-"""The process of a solution once more, for whoever looks at it closer.
+"""The process of a solution once more, for whoever looks closer at a few periods.
 
 Where the tool was and how it leaned, how finely the process is computed and the laws of
 both edges are those of the run. Only the robot is left out: between the tooth instants
@@ -16,7 +16,7 @@ from ...process import EdgeElementsInSpace, FrozenStock, Process
 from ...workpiece import Pose
 from .._analysis.stability import joint_poses
 from .._machine.machine import Run
-from .._machine.rigid import Rigid
+from .._machine.rigid import Rigid, kept_periods
 from .simulate import Solution, job_process, rigid_cut
 
 # A sample so near to the border of two angles counts as beyond it [samples].
@@ -42,14 +42,14 @@ class ToothChip(eqx.Module):
 
 
 class Replay(eqx.Module):
-    """A process that ran once more, along poses that are known.
+    """A process that ran once more, along poses that are known, up to some row.
 
     Attributes:
         process: The process.
         path: Poses at the tooth instants in `work`, shape (step, 3).
-        chip_row: Row of the path at which the revolution ends whose chips are kept.
-        run: What the process did, with the force at every angle sample; check
-            `.result`.
+        chip_row: Row of the path at which the periods end that are kept: a revolution,
+            and at least six.
+        run: What the process did up to there; check `.result`.
     """
 
     process: Process
@@ -92,10 +92,23 @@ class Replay(eqx.Module):
             ValueError: If there is no such row.
         """
         _check_row(chip_row, path)
-        machine = Rigid(
-            keeps_instantaneous=True, chip_row=jnp.asarray(chip_row, jnp.int32)
-        )
+        machine = Rigid(chip_row=jnp.asarray(chip_row, jnp.int32))
         return cls(process, path, chip_row, machine.run(process, path))
+
+    @property
+    def rows(self) -> range:
+        """Rows at which the periods end that are kept."""
+        kept = kept_periods(self.process)
+        return range(max(1, self.chip_row + 1 - kept), self.chip_row + 1)
+
+    def forces(self) -> Float[np.ndarray, "row sample 3"]:
+        """Force on the tool at every angle of the periods before `rows` [N].
+
+        Sample j of n is that at the share (j + 1/2) / n of the period.
+        """
+        assert self.run.chips is not None
+        at = np.array(self.rows) % kept_periods(self.process)
+        return np.asarray(self.run.chips.force)[at]
 
     def tooth_chip(self) -> ToothChip:
         """Return the chip that one tooth met in the revolution that is kept.
@@ -114,7 +127,7 @@ class Replay(eqx.Module):
         assert kept is not None
         last = np.arange(max(1, self.chip_row + 1 - teeth), self.chip_row + 1)
         angle, tooth, chip, weight = (
-            np.asarray(x, np.float64)[last % teeth]
+            np.asarray(x, np.float64)[last % kept_periods(self.process)]
             for x in (kept.angle, kept.tooth, kept.chip, kept.weight)
         )
         shape = weight.shape

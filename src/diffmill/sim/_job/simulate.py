@@ -59,6 +59,8 @@ class Solution(eqx.Module):
         commanded: What the program says, without gravity sag [m], shape (step, 3).
         actual: Where the tip is [m], shape (step, 3).
         force: Mean force on the tool over the period before [N], shape (step, 3).
+        force_range: Least and largest force at any angle of that period [N], shape
+            (step, 2, 3); its derivative is zero.
         removed_volume: Volume that each pose removes [m^3], shape (step,).
         shank_volume: What of it the shank above the flutes takes [m^3], shape (step,).
         surface_deviation: Actual - desired at the instant, in the period before, at
@@ -87,6 +89,7 @@ class Solution(eqx.Module):
     commanded: Float[Array, "step 3"]
     actual: Float[Array, "step 3"]
     force: Float[Array, "step 3"]
+    force_range: Float[Array, "step 2 3"]
     removed_volume: Float[Array, " step"]
     shank_volume: Float[Array, " step"]
     surface_deviation: Float[Array, "step 3"]
@@ -172,6 +175,7 @@ class Solution(eqx.Module):
             commanded=commanded,
             actual=job.path.disturbed(ran.actual),
             force=ran.force,
+            force_range=ran.force_range,
             removed_volume=ran.removed_volume,
             shank_volume=ran.shank_volume,
             surface_deviation=walls.deviation,
@@ -376,10 +380,10 @@ def simulate_with_slot_growth(
     count = job.path.step_count
 
     def grown(
-        name: str, shares: tuple[float, float], run: Callable[[Job, SegmentPlan], Any]
+        name: str, first: float, last: float, run: Callable[[Job, SegmentPlan], Any]
     ) -> tuple[Job, Any]:
         """A run that has had slots enough, and its job."""
-        grown, first, last = job, *shares
+        grown = job
 
         def on_rows(done: int) -> None:
             share = first + (last - first) * done / count
@@ -398,11 +402,12 @@ def simulate_with_slot_growth(
             on_progress(f"{name} again: {grown.notes[-1]}", first)
 
     job, rigid = grown(
-        "rigid cut", (0.0, 0.4), lambda job, plan: rigid_cut(job, adjoint, plan=plan)
+        "rigid cut", 0.0, 0.4, lambda job, plan: rigid_cut(job, adjoint, plan=plan)
     )
     job, solution = grown(
         "robot and cut",
-        (0.4, 1.0),
+        0.4,
+        1.0,
         lambda job, plan: Solution.of_command(
             job, rigid, commanded, adjoint, motors, plan=plan
         ),
@@ -513,8 +518,9 @@ def rigid_cut(
     Args:
         job: The job, in its precision.
         adjoint: How to differentiate through the removal.
-        along: Poses at the rows of the path instead of those desired, shape (step, 3);
-            the force at every angle sample and the chips of a revolution are then kept.
+        along: Poses at the rows of the path instead of those desired, shape (step, 3),
+            of which only those are run that it takes for the chips and the force at
+            every angle of a revolution.
         chip_row: Row at which that revolution ends.
         plan: How a long path is run in segments: tips are then kept at the tooth
             instants alone.
@@ -530,23 +536,34 @@ def rigid_cut(
     if along is not None:
         rows = jax.tree.map(lambda x: on_device(pad_rows(x, total)), along)
         tips, problem = rows.tip, dataclasses.replace(problem, axes=rows.axis)
+        # The curve in a period follows from the row behind it, too.
+        count = min(count, chip_row + 2)
+        if problem.path.row_count is not None:
+            path = dataclasses.replace(
+                problem.path, row_count=np.asarray(count, np.int32)
+            )
+            problem = dataclasses.replace(problem, path=path)
     # For what is differentiated no chips are kept.
     row = None if is_traced((job, along)) else on_device(np.asarray(chip_row, np.int32))
 
-    def cut_along(problem: MachiningProblem) -> Run:
+    has_two = along is None and job.cutter.has_runout
+
+    def cut_along(problem: MachiningProblem, before: int = 0) -> Run:
         if is_long:
-            return LongRun(problem, plan).cut(tips, chip_row)
+            on_rows = lambda done: plan.on_rows((before + done) // (1 + has_two))
+            own = plan._replace(on_rows=on_rows)
+            return LongRun(problem, own).cut(np.asarray(tips)[:count], chip_row)
         cut = _cut_along(problem, tips, row)
         return cut.finished(_remove_pending(problem.process, cut.pending()))
 
     cut = cut_along(problem)
     if along is None:
-        cut = dataclasses.replace(cut, instantaneous_force=None, chips=None)
-        if job.cutter.has_runout:
+        cut = dataclasses.replace(cut, chips=None)
+        if has_two:
             # The same cut, of a cutter that runs true.
             runout = lambda p: p.process.cutter.runout
             problem = eqx.tree_at(runout, problem, replace_fn=jnp.zeros_like)
-            true = cut_along(problem)
+            true = cut_along(problem, count)
             is_good = cut.result == RESULTS.successful
             result = RESULTS.where(is_good, true.result, cut.result)
             nominal = lambda run: (run.removal.stock, run.removal.result)
@@ -632,11 +649,11 @@ def _cut_along(
 ) -> Run:
     """Run of a rigid machine on the given tips, but for its pending removals.
 
-    With the force at every angle and the chips of a revolution, for figures, since
+    With the chips of a revolution and its force at every angle, for figures, since
     another program without them would be compiled beside this one.
     """
     path = Pose.along(positions, problem.axes)
-    machine = Rigid(keeps_instantaneous=True, chip_row=chip_row)
+    machine = Rigid(chip_row=chip_row)
     return machine.run_rows(problem.process, path, problem.path.row_count)
 
 
@@ -665,7 +682,7 @@ def _follow(
     if problem.machine is None:
         # A rigid machine goes where it is told.
         ran, ends = _cut_along(problem, tips, None), tips[:, None]
-        ran = dataclasses.replace(ran, instantaneous_force=None, chips=None)
+        ran = dataclasses.replace(ran, chips=None)
     else:
         assert motors is not None
         if problem.controller is not None:

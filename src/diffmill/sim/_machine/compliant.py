@@ -164,6 +164,7 @@ class AbstractInertialMachine(AbstractCompliant):
             tip=pose.tip,
             ends=substeps.ends,
             force=jnp.mean(substeps.loads[:, :3], axis=0),
+            force_range=substeps.whole_range(),
             joint_positions=self.joint_positions(state.machine),
             removed=removed,
             has_failed=cutting.has_failed,

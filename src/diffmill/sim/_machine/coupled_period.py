@@ -160,7 +160,8 @@ class CoupledPeriod(eqx.Module):
         tip = self.dynamics.pose.tip
         ends = jnp.broadcast_to(tip[None], predicted.tip.shape)
         loads = jnp.zeros((ends.shape[0], self.load_count), ends.dtype)
-        return LoadedSubsteps(predicted.tip, predicted.tip, ends, loads)
+        none = jnp.zeros((ends.shape[0], 2, 3), ends.dtype)
+        return LoadedSubsteps(predicted.tip, predicted.tip, ends, loads, none)
 
     def run(
         self, start: PyTree, rows: SubstepRow, predicted: Pose, cut: Engagement
@@ -182,7 +183,8 @@ class CoupledPeriod(eqx.Module):
         arrays, fixed = eqx.partition(given, eqx.is_array)
         end, moved = _run(fixed, arrays)
         ends = jax.vmap(self.dynamics.tip)(moved.end)
-        return end, LoadedSubsteps(predicted.tip, moved.tip, ends, moved.load)
+        tips = predicted.tip, moved.tip, ends
+        return end, LoadedSubsteps(*tips, moved.load, moved.force_range)
 
     def run_with_updates(
         self,
@@ -234,7 +236,7 @@ class CoupledPeriod(eqx.Module):
         offset = jnp.broadcast_to(drift, (count, 3))
         begun = start, offset, jnp.zeros_like(recent.tip[0])
         (end, _, _), moved = jax.lax.scan(update, begun, (first, parts))
-        return end, jax.tree.map(lambda x: x.reshape(-1, x.shape[-1]), moved)
+        return end, jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), moved)
 
 
 class _MovedSubstep(NamedTuple):
@@ -245,11 +247,14 @@ class _MovedSubstep(NamedTuple):
         end: The machine's state at its end.
         load: Force on the tool [N], and its moment about the tip [N m] if the machine
             takes that, shape (*substep, load).
+        force_range: Least and largest force at any angle [N], shape (*substep, 2, 3);
+            without derivative.
     """
 
     tip: Float[Array, "*substep 3"]
     end: PyTree
     load: Float[Array, "*substep load"]
+    force_range: Float[Array, "*substep 2 3"] | None = None
 
 
 class _PeriodInputs(eqx.Module):
@@ -263,7 +268,17 @@ class _PeriodInputs(eqx.Module):
     def load(
         self, row: SubstepRow, tip: Float[Array, " 3"], earlier: Pose
     ) -> Float[Array, " load"]:
-        """Mean load F of a sub-step whose tips are known [N], [N m].
+        """Mean load F of a sub-step whose tips are known [N], [N m]."""
+        return self.mean(self.wrench(row, tip, earlier))
+
+    def mean(self, wrench: Float[Array, "angle 6"]) -> Float[Array, " load"]:
+        """Mean load of a sub-step, from force and moment at its angles."""
+        return jnp.mean(wrench, axis=0)[: self.coupled.load_count]
+
+    def wrench(
+        self, row: SubstepRow, tip: Float[Array, " 3"], earlier: Pose
+    ) -> Float[Array, "angle 6"]:
+        """Force and moment at the angles of a sub-step [N], [N m].
 
         Args:
             row: The sub-step.
@@ -273,10 +288,9 @@ class _PeriodInputs(eqx.Module):
         coupled, samples = self.coupled, row.samples
         assert samples is not None
         pose = Pose(tip, coupled.dynamics.pose.axis)
-        wrench = coupled.process.engagement.wrench(
+        return coupled.process.engagement.wrench(
             coupled.process, samples, pose, earlier, self.decimated
         )
-        return jnp.mean(wrench, axis=0)[: coupled.load_count]
 
 
 class _Before(NamedTuple):
@@ -318,9 +332,13 @@ def _run(fixed: _PeriodInputs, arrays: _PeriodInputs) -> tuple[PyTree, _MovedSub
     def substep(before: _Before, row: SubstepRow) -> tuple[_Before, _MovedSubstep]:
         tip = dynamics.middle(before.state, row.time)
         before = before.with_displacement(tip - dynamics.pose.tip)
-        load = given.load(row, tip, row.passed(before.displacement))
+        wrench = given.wrench(row, tip, row.passed(before.displacement))
+        load = given.mean(wrench)
         end = dynamics.step(before.state, row.time, load)
-        return before._replace(state=end), _MovedSubstep(tip, end, load)
+        force = wrench[:, :3]
+        force_range = jnp.stack([jnp.min(force, axis=0), jnp.max(force, axis=0)])
+        moved = _MovedSubstep(tip, end, load, force_range)
+        return before._replace(state=end), moved
 
     begun = _Before.of(given.start, given.rows)
     last, moved = jax.lax.scan(substep, begun, given.rows)
@@ -428,6 +446,7 @@ def _run_jvp(fixed: _PeriodInputs, primals: Any, tangents: Any) -> tuple[Any, An
         own_load=own_loads,
     )
     last, changes = jax.lax.scan(substep, _Before.of(start, given.rows), rows)
+    changes = changes._replace(force_range=jnp.zeros_like(moved.force_range))
     return (end, moved), (last.state, changes)
 
 

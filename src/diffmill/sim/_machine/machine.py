@@ -124,6 +124,8 @@ class LoadedSubsteps(eqx.Module):
         ends: Tips at their ends [m], same shape.
         loads: Forces in `work` [N] and, if the machine takes them, their moments about
             the tip [N m], shape (*substep, load).
+        force_range: Least and largest force at any angle in `work` [N], shape
+            (*substep, 2, 3).
         engagement: The edges in the stock; None where it was looked up several times.
     """
 
@@ -131,7 +133,13 @@ class LoadedSubsteps(eqx.Module):
     tips: Float[Array, "*substep 3"]
     ends: Float[Array, "*substep 3"]
     loads: Float[Array, "*substep load"]
+    force_range: Float[Array, "*substep 2 3"]
     engagement: Engagement | None = None
+
+    def whole_range(self) -> Float[Array, "2 3"]:
+        """Least and largest force at any angle of the period [N], shape (2, 3)."""
+        least, largest = self.force_range[:, 0], self.force_range[:, 1]
+        return jnp.stack([jnp.min(least, axis=0), jnp.max(largest, axis=0)])
 
 
 class Period(eqx.Module):
@@ -141,6 +149,7 @@ class Period(eqx.Module):
         tip: Tool tip in `work` at its start [m], shape (3,).
         ends: Tips at the ends of its sub-steps [m], shape (substep, 3).
         force: Mean force on the tool in `work` [N], shape (3,).
+        force_range: Least and largest force at any angle sample [N], shape (2, 3).
         joint_positions: At its start [rad or m], shape (joint,); None without joints.
         removed: Volumes of the poses removed at its start.
         has_failed: Whether a flag of the process is up.
@@ -151,6 +160,7 @@ class Period(eqx.Module):
     tip: Float[Array, " 3"]
     ends: Float[Array, "substep 3"]
     force: Float[Array, " 3"]
+    force_range: Float[Array, "2 3"]
     joint_positions: Float[Array, " joint"] | None
     removed: RemovedVolume
     has_failed: Bool[Array, ""]
@@ -159,7 +169,7 @@ class Period(eqx.Module):
 
 
 class TurnChips(eqx.Module):
-    """Chips of the teeth in some periods, sample by sample.
+    """Chips of the teeth and their force in some periods, sample by sample.
 
     Attributes:
         angle: Of the samples [rad], shape (*period, substep, angle, leading, disc).
@@ -167,12 +177,15 @@ class TurnChips(eqx.Module):
         chip: Chip thickness in the stock [m], shape (*period, substep, angle, leading,
             element).
         weight: Occupancy, same shape.
+        force: Force on the tool at every angle in `work` [N], shape (*period, sample,
+            3).
     """
 
     angle: Float[Array, "*period substep angle leading disc"]
     tooth: Int[Array, "*period substep angle leading disc"]
     chip: Float[Array, "*period substep angle leading element"]
     weight: Float[Array, "*period substep angle leading element"]
+    force: Float[Array, "*period sample 3"]
 
 
 class AbstractMachine(eqx.Module):
@@ -297,6 +310,7 @@ class AbstractMachine(eqx.Module):
             actual=actual,
             ends=all_ends(periods),
             force=prepend_zeros(periods.force),
+            force_range=prepend_zeros(periods.force_range),
             joint_positions=_at_instants(periods.joint_positions, joints, last),
             initial_overlap_volume=overlap,
             removal=PendingRemoval(
@@ -377,6 +391,7 @@ class AbstractMachine(eqx.Module):
             actual=_at_instants(periods.tip, final.tip, last),
             ends=all_ends(periods),
             force=prepend_zeros(periods.force),
+            force_range=prepend_zeros(periods.force_range),
             joint_positions=_at_instants(periods.joint_positions, joints, last),
             removed=dataclasses.replace(removed, pose=removed.pose - start),
             has_failed=periods.has_failed,
@@ -492,6 +507,8 @@ class Run(eqx.Module):
             [m], shape (step, substep, 3); row 0 is at rest.
         force: Mean force on the tool over the period before each instant, in `work`
             [N], shape (step, 3); zero in row 0.
+        force_range: Least and largest force at any angle sample of that period [N],
+            shape (step, 2, 3); its derivative is zero.
         joint_positions: [rad or m], shape (step, joint); None without joints.
         initial_overlap_volume: Stock inside the tool at the first pose [m^3].
         removal: Volumes, final stock and outcome, or the poses that still wait.
@@ -505,6 +522,7 @@ class Run(eqx.Module):
     actual: Float[Array, "step 3"]
     ends: Float[Array, "step substep 3"]
     force: Float[Array, "step 3"]
+    force_range: Float[Array, "step 2 3"]
     joint_positions: Float[Array, "step joint"] | None
     initial_overlap_volume: Float[Array, ""]
     removal: Removal | PendingRemoval
@@ -556,6 +574,7 @@ class Run(eqx.Module):
             run.actual,
             run.ends,
             run.force,
+            run.force_range,
             run.joint_positions,
             run.instantaneous_force,
         )
@@ -581,6 +600,7 @@ class RunSegment(eqx.Module):
     actual: Float[Array, "step 3"]
     ends: Float[Array, "step substep 3"]
     force: Float[Array, "step 3"]
+    force_range: Float[Array, "step 2 3"]
     joint_positions: Float[Array, "step joint"] | None
     removed: RemovedVolume
     has_failed: Bool[Array, " period"]

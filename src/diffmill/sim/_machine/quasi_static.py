@@ -40,7 +40,7 @@ from .machine import (
     RunState,
     engage_if_valid,
 )
-from .rigid import period_wrench
+from .rigid import period_wrench, substep_ranges
 
 _NEWTON_STEPS = 2
 
@@ -134,14 +134,24 @@ class QuasiStaticArm(AbstractCompliant):
         tips, ends = bend.reached(end, middles), bend.reached(end, last)
         cutting = cutting.ended(tips, ends)
         loads = jnp.broadcast_to(end.load[None], (middles.size, size))
+        force_range = if_valid(
+            row.is_live,
+            lambda: substep_ranges(
+                period_wrench(process, cut, tips, recent), middles.size
+            ),
+        )
+        moved = LoadedSubsteps(
+            predicted.tip, tips.tip, ends.tip, loads, force_range, cut
+        )
         return RunState(cutting, end, state.period_count), Period(
             tip=start.pose.tip,
             ends=ends.tip,
             force=end.load[:3],
+            force_range=moved.whole_range(),
             joint_positions=start.q,
             removed=removed,
             has_failed=cutting.has_failed,
-            substeps=LoadedSubsteps(predicted.tip, tips.tip, ends.tip, loads, cut),
+            substeps=moved,
         )
 
     def motion(

@@ -73,13 +73,22 @@ class RigidState(eqx.Module):
 
     Attributes:
         pose: The pose that is reached.
-        chips: Chips of the revolution that ends at the machine's `chip_row`: those of
-            period p at place p modulo the number of teeth. A last place takes what is
-            not kept. None if no chips are asked for.
+        chips: Chips in the periods that end at the machine's `chip_row`: those of
+            period p at place p modulo `kept_periods`. A last place takes what is not
+            kept. None if no chips are asked for.
     """
 
     pose: Pose
     chips: TurnChips | None = None
+
+
+# Periods at least whose chips and forces are kept.
+_LEAST_KEPT = 6
+
+
+def kept_periods(process: Process) -> int:
+    """Number of periods whose chips and forces are kept."""
+    return max(_LEAST_KEPT, process.cutter.flute_count)
 
 
 class Rigid(AbstractMachine):
@@ -91,8 +100,8 @@ class Rigid(AbstractMachine):
 
     Attributes:
         keeps_instantaneous: Whether the force at every angle sample is returned.
-        chip_row: Row at which a revolution ends whose chips are returned, shape ();
-            None for none.
+        chip_row: Row at which the periods end whose chips are returned, at least a
+            revolution, shape (); None for none.
     """
 
     keeps_instantaneous: bool = eqx.field(static=True, default=False)
@@ -103,7 +112,7 @@ class Rigid(AbstractMachine):
         start = command.poses[1] if isinstance(command, PathPiece) else command[0]
         if self.chip_row is None:
             return RigidState(start)
-        count, substeps = process.cutter.flute_count, process.engagement.substeps
+        count, substeps = kept_periods(process), process.engagement.substeps
         middles = start.repeated(substeps)
 
         def chips() -> TurnChips:
@@ -157,17 +166,21 @@ class Rigid(AbstractMachine):
         before, chips, middles = state.machine, state.machine.chips, poses.middles
         cutting, removed = process.remove(state.process, row.period - 1, poses.start)
         cut, recent = engage(process, cutting, row, middles), cutting.recent
-        samples = if_valid(
+        wrench = if_valid(
             row.is_live, lambda: period_wrench(process, cut, middles, recent)
-        )[:, :3]
+        )
+        samples = wrench[:, :3]
+        force_range = jax.lax.stop_gradient(
+            jnp.stack([jnp.min(samples, axis=0), jnp.max(samples, axis=0)])
+        )
         if chips is not None and self.chip_row is not None:
-            teeth = process.cutter.flute_count
+            kept = kept_periods(process)
             periods_left = self.chip_row - poses.number
-            is_kept = (periods_left >= 0) & (periods_left < teeth)
+            is_kept = (periods_left >= 0) & (periods_left < kept)
             newest = if_valid(
                 is_kept, lambda: _turn_chips(process, cut, middles, recent)
             )
-            place = jnp.where(is_kept, jnp.mod(poses.number, teeth), teeth)
+            place = jnp.where(is_kept, jnp.mod(poses.number, kept), kept)
             chips = jax.tree.map(lambda x, new: x.at[place].set(new), chips, newest)
         cutting = cutting.ended(middles, poses.ends)
         stop = if_valid(row.is_live, lambda: poses.stop, before.pose)
@@ -175,6 +188,7 @@ class Rigid(AbstractMachine):
             tip=poses.start.tip,
             ends=poses.ends.tip,
             force=jnp.mean(samples, axis=0),
+            force_range=force_range,
             joint_positions=None,
             removed=removed,
             has_failed=cutting.has_failed,
@@ -182,10 +196,23 @@ class Rigid(AbstractMachine):
         )
 
 
+def substep_ranges(
+    wrench: Float[Array, "sample 6"], substeps: int
+) -> Float[Array, "substep 2 3"]:
+    """Least and largest force in each sub-step [N], without derivative.
+
+    Args:
+        wrench: Force and moment at all angles of the period.
+        substeps: Sub-steps of the period.
+    """
+    force = jax.lax.stop_gradient(wrench[:, :3]).reshape(substeps, -1, 3)
+    return jnp.stack([jnp.min(force, axis=1), jnp.max(force, axis=1)], axis=1)
+
+
 def _turn_chips(
     process: Process, cut: Engagement, middles: Pose, recent: Pose
 ) -> TurnChips:
-    """Chips of the teeth in a period whose poses are known.
+    """Chips of the teeth in a period whose poses are known, and their force.
 
     Args:
         process: The process.
@@ -200,7 +227,8 @@ def _turn_chips(
     )(cut.samples, middles, process.earlier(recent, middles))
     samples = cut.samples
     chip = jnp.clip(chip, 0, process.cutter.diameter / 2) * samples.chip_share
-    return TurnChips(samples.angle, samples.tooth, chip, samples.occupancy)
+    force = period_wrench(process, cut, middles, recent)[:, :3]
+    return TurnChips(samples.angle, samples.tooth, chip, samples.occupancy, force)
 
 
 def period_wrench(

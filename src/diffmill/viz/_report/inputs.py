@@ -13,6 +13,9 @@ from ...workpiece import SurfaceError
 from .._figure.dexels import CutDexels
 from .._figure.forces import ForceTrace
 
+# A force as near to the median, relative to it, is typical.
+_TYPICAL = 0.01
+
 
 class FigureInputs(TypedDict):
     """Keyword arguments of `write_figures` beside the dataset."""
@@ -33,8 +36,8 @@ def figure_inputs(
 ) -> FigureInputs:
     """Inputs of `write_figures` beside the dataset.
 
-    The process runs once more, without the robot, on the actual poses of the first
-    case, for the force at every angle and the chip of one revolution.
+    The process runs once more, without the robot, on the actual poses of the first case
+    up to a typical row, for the force at every angle and the chip of a revolution.
 
     Args:
         job: The job.
@@ -50,15 +53,19 @@ def figure_inputs(
     name, first = next(iter(cases.items()))
     # More maps would make the report long without telling more.
     mapped = {key: case for key, case in cases.items() if key in (name, chosen)}
-    step, forces = _typical_step(first), None
+    step = _typical_step(first)
     with concurrent.futures.ThreadPoolExecutor(1) as pool:
         # Another core compares the surfaces while compiled code runs here.
         maps = pool.submit(lambda: _surfaces(mapped) if surfaces is None else surfaces)
         again = Replay.of_solution(job, first, chip_row=step or 1)
-    samples = again.run.instantaneous_force
+    time, window = np.asarray(first.time), None
     # A run that overflowed is not the process of the figure's caption.
-    if samples is not None and bool(again.run.result == RESULTS.successful):
-        forces = ForceTrace.from_periods(np.asarray(first.time), np.asarray(samples))
+    if bool(again.run.result == RESULTS.successful) and len(again.rows) > 1:
+        rows = np.array([again.rows[0] - 1, *again.rows])
+        samples = again.forces()
+        samples = np.concatenate([samples[:1], samples])
+        window = ForceTrace.from_periods(time[rows], samples)
+    forces = ForceTrace.of_rows(time, first.force, first.force_range, window=window)
     return FigureInputs(
         forces=forces,
         chip=None if step is None else again.tooth_chip(),
@@ -83,11 +90,15 @@ def _surfaces(cases: Mapping[str, Solution]) -> dict[str, SurfaceError]:
 
 
 def _typical_step(solution: Solution) -> int | None:
-    """Cutting step whose force is nearest to the median; None if none cuts."""
+    """First cutting step whose force is that of the median to 1 %, or the nearest.
+
+    An early one takes a short replay. None if none cuts.
+    """
     length = np.linalg.norm(np.asarray(solution.force), axis=1)
     cutting = np.asarray(solution.is_cutting) & np.isfinite(length) & (length > 0)
     cutting[0] = False
     if not cutting.any():
         return None
-    distance = np.abs(length - np.median(length[cutting]))
-    return int(np.argmin(np.where(cutting, distance, np.inf)))
+    median = np.median(length[cutting])
+    distance = np.where(cutting, np.abs(length / median - 1), np.inf)
+    return int(np.argmax(distance <= max(_TYPICAL, distance.min())))

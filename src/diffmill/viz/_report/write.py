@@ -200,7 +200,16 @@ def _draw_forces(dataset: "xarray.Dataset", forces: ForceTrace | None) -> _Drawi
         means = np.nan_to_num(values_of(dataset, "force", case))
         record = ForceTrace(time, means, float(time[1] - time[0]), True)
     caption = "Force of the workpiece on the tool in workpiece axes"
-    if record.is_tooth_mean:
+    if record.force_range is not None:
+        caption += (
+            ". Grey: from the least to the largest force at any angle in each tooth "
+            "period; on the right every computed sample of some periods, where the "
+            "tool went along a smooth curve through its tooth instants. Black: the "
+            "mean over each tooth period, of which a low-pass (Butterworth of order 4, "
+            "forward and backward) leaves what is below 100 Hz, to which a robot's "
+            "arm can answer."
+        )
+    elif record.is_tooth_mean:
         caption += ", as its mean over each tooth period."
     else:
         caption += (
