@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 # Along directions that the planes fix less than this, relative to the best fixed one,
 # the mean of the crossings stands.
 _CUT_OFF = 0.1
+# Vertices at a time: bounds the memory.
+_CHUNK = 50_000
 
 
 def surface_mesh(stock: "Stock") -> Mesh:
@@ -101,10 +103,12 @@ def _vertices(
     right = np.stack([total(normals[:, a] * offset) for a in range(3)], axis=-1)
     # The grid of cells starts one node before that of the rays.
     lower = np.asarray(stock.origin, np.float64) + (cell_of_loop - 1) * stock.spacing
-    shift = _least_squares_in_box(
-        matrix, right, lower - middle, lower + stock.spacing - middle
-    )
-    return middle + shift
+    given = matrix, right, lower - middle, lower + stock.spacing - middle
+    shifts = [
+        _least_squares_in_box(*(x[k : k + _CHUNK] for x in given))
+        for k in range(0, count, _CHUNK)
+    ]
+    return middle + np.concatenate(shifts)
 
 
 def _least_squares_in_box(

@@ -38,7 +38,7 @@ class SignedDistance:
         is_sound = area > 1e-12 * area.max()
         faces, self._corners = faces[is_sound], corners[is_sound]
         flat = cross[is_sound] / area[is_sound, None]
-        self._normals = _feature_normals(vertices, faces, self._corners, flat)
+        self._normals = _FeatureNormals(vertices, faces, self._corners, flat)
         middles = self._corners.mean(axis=1)
         away = np.linalg.norm(self._corners - middles[:, None], axis=-1)
         self._radii = away.max(axis=1)
@@ -77,38 +77,52 @@ class SignedDistance:
         least = np.minimum.reduceat(square, np.flatnonzero(np.diff(row, prepend=-1)))
         is_best = np.flatnonzero(square == least[row])
         best = is_best[np.diff(row[is_best], prepend=-1) > 0]
-        away, normal = away[best], self._normals[triangle[best], feature[best]]
+        away, normal = away[best], self._normals(triangle[best], feature[best])
         is_inside = np.einsum("ni,ni->n", away, normal) < 0
         length = np.sqrt(least)
         return np.where(is_inside, -length, length), normal
 
 
-def _feature_normals(
-    vertices: Float[np.ndarray, "vertex 3"],
-    faces: Int[np.ndarray, "face 3"],
-    corners: Float[np.ndarray, "face 3 3"],
-    flat: Float[np.ndarray, "face 3"],
-) -> Float[np.ndarray, "face 7 3"]:
-    """Unit normals of each triangle's three corners, three edges and itself.
+class _FeatureNormals:
+    """Outward unit normals of triangles: of their corners, their edges and themselves.
 
-    Edge k runs from corner k to the next one.
+    Edge k of a triangle runs from corner k to the next one.
     """
-    side = np.roll(corners, -1, axis=1) - corners
-    side = side / np.linalg.norm(side, axis=-1, keepdims=True)
-    cosine = -np.einsum("fki,fki->fk", side, np.roll(side, 1, axis=1))
-    angle = np.arccos(np.clip(cosine, -1, 1))
-    at_corner = np.zeros_like(vertices)
-    np.add.at(at_corner, faces, angle[..., None] * flat[:, None])
-    ends = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], -1), axis=-1)
-    key = ends[..., 0].astype(np.int64) * len(vertices) + ends[..., 1]
-    _, edge = np.unique(key.ravel(), return_inverse=True)
-    edge = edge.reshape(key.shape)
-    at_edge = np.zeros((int(edge.max()) + 1, 3))
-    np.add.at(at_edge, edge, np.broadcast_to(flat[:, None], corners.shape))
-    normals = np.concatenate([at_corner[faces], at_edge[edge], flat[:, None]], axis=1)
-    length = np.linalg.norm(normals, axis=-1, keepdims=True)
-    # Two triangles back to back have no outward side: any will do.
-    return np.where(length > 1e-9, normals / np.maximum(length, 1e-9), flat[:, None])
+
+    def __init__(
+        self,
+        vertices: Float[np.ndarray, "vertex 3"],
+        faces: Int[np.ndarray, "face 3"],
+        corners: Float[np.ndarray, "face 3 3"],
+        flat: Float[np.ndarray, "face 3"],
+    ):
+        side = np.roll(corners, -1, axis=1) - corners
+        side /= np.linalg.norm(side, axis=-1, keepdims=True)
+        cosine = -np.einsum("fki,fki->fk", side, np.roll(side, 1, axis=1))
+        del side
+        angle = np.arccos(np.clip(cosine, -1, 1))
+        self._at_corner = np.zeros_like(vertices)
+        for k in range(3):
+            np.add.at(self._at_corner, faces[:, k], angle[:, k, None] * flat)
+        ends = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], -1), axis=-1)
+        key = ends[..., 0].astype(np.int64) * len(vertices) + ends[..., 1]
+        _, edge = np.unique(key.ravel(), return_inverse=True)
+        self._edges, self._faces = edge.reshape(key.shape), faces
+        self._at_edge, self._flat = np.zeros((int(edge.max()) + 1, 3)), flat
+        for k in range(3):
+            np.add.at(self._at_edge, self._edges[:, k], flat)
+
+    def __call__(
+        self, triangle: Int[np.ndarray, " n"], feature: Int[np.ndarray, " n"]
+    ) -> Float[np.ndarray, "n 3"]:
+        """Normals of features of triangles, as `closest_on_triangles` numbers them."""
+        flat, k, kind = self._flat[triangle], feature % 3, (feature // 3)[:, None]
+        corner = self._at_corner[self._faces[triangle, k]]
+        edge = self._at_edge[self._edges[triangle, k]]
+        normal = np.where(kind == 0, corner, np.where(kind == 1, edge, flat))
+        length = np.linalg.norm(normal, axis=-1, keepdims=True)
+        # Two triangles back to back have no outward side: any will do.
+        return np.where(length > 1e-9, normal / np.maximum(length, 1e-9), flat)
 
 
 def closest_on_triangles(
