@@ -313,7 +313,8 @@ class RemovalHistory(NamedTuple):
     def decimated_poses(self, state: ProcessState) -> Pose:
         """Return the newest poses in the queue at given distances behind the tool."""
         rows = self.decimated_rows(state)
-        return Rematerialised.read(state.track.poses.gather(rows * self.substeps))
+        nodes = rows * state.track.substeps
+        return Rematerialised.read(state.track.poses.gather(nodes))
 
     def decimated_rows(self, state: ProcessState) -> Int[Array, " circle"]:
         """Indices of the decimated poses, those at tooth instants."""

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from .._types import IntScalar
+from .._types import FloatRows3, IntScalar
 from ..cutter import AbstractCutter
 from ..workpiece import Pose, Stock
 from ._engagement.leading_half import STILL
@@ -28,7 +28,7 @@ _BESIDE = 1.5
 
 def wall_shares(
     desired: Float[Array, "step 3"],
-    axes: Float[Array, "step 3"] | None,
+    axes: FloatRows3 | None,
     cutter: AbstractCutter,
     finished: Stock | None = None,
     *,
@@ -69,7 +69,7 @@ def wall_shares(
 
 def feed_angles(
     desired: Float[Array, "step 3"],
-    axes: Float[Array, "step 3"] | None,
+    axes: FloatRows3 | None,
     before: Float[Array, ""] | None = None,
 ) -> Float[Array, " step"]:
     """Angle of the feed from tool +y towards tool +x in the period before each row.
@@ -95,11 +95,12 @@ def feed_angles(
 
 
 def _frames(
-    path: Float[Array, "step 3"], axes: Float[Array, "step 3"] | None
+    path: Float[Array, "step 3"], axes: FloatRows3 | None
 ) -> Float[Array, "step 3 3"]:
     """Frames of a tool, by its axes, shape (step, 3, 3)."""
     up = jnp.zeros(3, path.dtype).at[2].set(1)
-    return Pose.frame(jnp.broadcast_to(up[None], path.shape) if axes is None else axes)
+    axis = up[None] if axes is None else jnp.asarray(axes)
+    return Pose.frame(jnp.broadcast_to(axis, path.shape))
 
 
 def _is_right(

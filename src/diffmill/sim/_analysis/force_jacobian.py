@@ -1,5 +1,7 @@
 """Derivatives of the force of the teeth with respect to present and earlier tips."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -19,7 +21,7 @@ from .monodromy import Regeneration
 
 
 def force_slopes(
-    process: Process, path: Pose, rows: Int[np.ndarray, " row"]
+    process: Process, path: Pose, rows: Int[np.ndarray, " row"], substeps: int
 ) -> list[list[Regeneration]]:
     """Return the slopes of the force in some periods, by replaying the removal.
 
@@ -29,10 +31,10 @@ def force_slopes(
     cut nor its depth.
 
     Args:
-        process: The process; a sub-step is the piece of a period over which slopes are
-            means.
+        process: The process.
         path: Poses at the tooth instants, shape (step, 3).
         rows: The periods before these rows are asked for, from 1, ascending.
+        substeps: Pieces of a period over which slopes are means.
 
     Returns:
         The slopes of the periods that repeat themselves, for each row.
@@ -43,6 +45,9 @@ def force_slopes(
     longer = lambda x: np.concatenate([2 * x[:1] - x[1:2], x, 2 * x[-1:] - x[-2:-1]])
     padded = jax.tree.map(lambda x: on_device(longer(np.asarray(x))), path)
     carry, first, slopes = _begin(process, path), on_device(np.ones((), np.int32)), {}
+    # What is removed is what the run removes; only the slopes take finer pieces.
+    engagement = dataclasses.replace(process.engagement, substeps=substeps)
+    fine = eqx.tree_at(lambda p: p.engagement, process, engagement)
     cutter, count = process.cutter, process.repeats_after
     # A path shorter than a turn stands for the rest by its first period.
     turns = np.maximum(rows[:, None] + np.arange(1 - count, 1), 1)
@@ -51,7 +56,8 @@ def force_slopes(
         delays = np.asarray(cutter.delays(np.float64)).reshape(-1)
     for row in np.unique(turns):
         last = on_device(np.asarray(row, np.int32))
-        carry, found = _replay(process, carry, padded, first, last)
+        carry = _replay(process, carry, padded, first, last)
+        found = _slopes_at(fine, carry.state, padded, last)
         now, before = (np.asarray(x, np.float64) for x in found)
         before = before.reshape(len(now), -1, 3, 3)
         slopes[row] = Regeneration(now, before, delays)
@@ -82,25 +88,52 @@ def _replay(
     padded: Pose,
     first: Int[Array, ""],
     last: Int[Array, ""],
-) -> tuple[_Replayed, tuple[Array, Array]]:
-    """Process in the last period, and the slopes there, of `_slopes`.
+) -> _Replayed:
+    """Process in the last period, after its removal.
 
     It begins with the period before the first.
     """
-    engagement = process.engagement
 
     def period(index: Array, at: _Replayed) -> _Replayed:
         state = at.state.ended(at.middles, at.ends)
-        near = jax.tree.map(
-            lambda x: jax.lax.dynamic_slice_in_dim(x, index - 1, 4), padded
-        )
+        near = _near(padded, index)
         state, _ = process.remove(state, index - 1, near[1])
         middles, ends = process.poses_within(near)
         return _Replayed(state, middles[1], ends[1])
 
-    at = jax.lax.fori_loop(first, last + 1, period, before)
-    cut = engagement.engage(process, at.state, last, at.middles)
-    return at, _slopes(process, cut, at.middles, at.state.recent)
+    return jax.lax.fori_loop(first, last + 1, period, before)
+
+
+def _near(padded: Pose, period: Int[Array, ""]) -> Pose:
+    """Poses at both ends of a period, and those before and behind it."""
+    cut = lambda x: jax.lax.dynamic_slice_in_dim(x, period - 1, 4)
+    return jax.tree.map(cut, padded)
+
+
+@CachedJit
+def _slopes_at(
+    fine: Process, state: ProcessState, padded: Pose, period: Int[Array, ""]
+) -> tuple[Float[Array, "substep 3 3"], Float[Array, "substep *before 3 3"]]:
+    """Slopes of the force in a period, after its removal, as of `_slopes`.
+
+    Args:
+        fine: The process with the sub-steps over which slopes are means.
+        state: The state, with sub-steps of its own.
+        padded: The path, with a pose more at either end.
+        period: Index of the period, shape ().
+    """
+
+    def middles(index: Int[Array, ""]) -> Pose:
+        inner = fine.poses_within(_near(padded, jnp.maximum(index, 1))).middles[1]
+        still = padded[1].repeated(fine.engagement.substeps)
+        # Before the path the tool stood still.
+        return jax.tree.map(lambda x, y: jnp.where(index < 1, y, x), inner, still)
+
+    teeth = jnp.arange(1, fine.cutter.flute_count + 1, dtype=jnp.int32)
+    recent, now = jax.vmap(middles)(period - teeth), middles(period)
+    state = eqx.tree_at(lambda s: s.recent, state, recent)
+    cut = fine.engagement.engage(fine, state, period, now)
+    return _slopes(fine, cut, now, recent)
 
 
 def _slopes(

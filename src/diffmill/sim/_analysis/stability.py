@@ -213,12 +213,7 @@ class Stability(eqx.Module):
         path = _poses(arm, joint_positions, is_upright=engagement.is_upright)
         # The force has its slopes at every angle that is looked at.
         substeps = engagement.angles // process.cutter.flute_count
-        fine = eqx.tree_at(
-            lambda p: p.engagement,
-            process,
-            dataclasses.replace(engagement, substeps=substeps),
-        )
-        slopes = force_slopes(fine, path, chosen)
+        slopes = force_slopes(process, path, chosen, substeps)
         motion = _Motion(motor_positions, joint_positions, path.tip[:step_count])
         found = _growth(arm, process, motion, chosen, slopes)
         if is_moving_cut is None:

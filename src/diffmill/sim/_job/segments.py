@@ -72,7 +72,8 @@ class PathSegment(NamedTuple):
         jax.tree.map(put, path, rows)
 
 
-class Segments(NamedTuple):
+@dataclasses.dataclass(frozen=True)
+class Segments:
     """Segments of a long path.
 
     Attributes:
@@ -130,7 +131,7 @@ def run_in_segments(
     total, dtype = segments.total, np.dtype(process.stock.origin.dtype)
     volume, by_shank = np.zeros((2, total), dtype)
     has_failed, is_finite = np.zeros(total, bool), True
-    overlap, ran, state = 0.0, None, None
+    overlap, ran, state, last = 0.0, None, None, 0
     for segment in segments:
         told = command(segment)
         if state is None:
@@ -150,12 +151,12 @@ def run_in_segments(
         has_failed[own] = np.asarray(ran.has_failed)[: segment.row_count - 1]
         counted = [np.asarray(x)[: segment.row_count] for x in (ran.actual, ran.force)]
         is_finite &= all(np.isfinite(x).all() for x in counted)
+        last = segment.first + segment.row_count - 1
         if not take(segment, ran):
             break
     assert ran is not None and state is not None
     process = eqx.tree_at(lambda p: p.stock, process, state.process.stock)
     end = _finished(machine, process, state, ran.standing_count)
-    last = segment.first + segment.row_count - 1
     removed = jax.device_get(end.removed)
     _add_volumes(volume, last, removed.pose, removed.volume)
     _add_volumes(by_shank, last, removed.pose, removed.by_shank)

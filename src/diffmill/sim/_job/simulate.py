@@ -162,7 +162,8 @@ class Solution(eqx.Module):
             ran = ran.finished(_remove_pending(problem.process, ran.pending()))
             ran = ran.first(count)
             walls, motors, is_reached = first_rows((walls, motors, is_reached), count)
-        walls, motors = jax.tree.map(on_device, (walls, motors))
+        walls = jax.tree.map(on_device, walls)
+        motors = None if motors is None else on_device(motors)
         # On the host, since a device compiles these for every length.
         xp = jnp if is_traced((ran, rigid, is_reached)) else np
         is_cutting = xp.any(xp.asarray(rigid.force) != 0, axis=1)
@@ -395,8 +396,9 @@ def simulate_with_slot_growth(
             found = run(
                 grown, SegmentPlan(segment_periods, on_rows, counts is not None)
             )
-            is_over = counts is None or is_traced(found.result)
-            if is_over or not bool(found.result == RESULTS.interval_overflow):
+            if counts is None or is_traced(found.result):
+                return grown, found
+            if not bool(found.result == RESULTS.interval_overflow):
                 return grown, found
             grown = grown.with_intervals(counts)
             on_progress(f"{name} again: {grown.notes[-1]}", first)

@@ -94,7 +94,8 @@ class WallRows(eqx.Module):
             # Behind the last row the tool stands.
             ends[_AROUND + total - segment.first :] = self.ends[-1, -1]
             first = on_device(np.asarray(segment.first - _AROUND, np.int32))
-            window = WallRows(*jax.tree.map(on_device, (*rows, ends)), first, feed)
+            desired, axes, disturbance = jax.tree.map(on_device, rows)
+            window = WallRows(desired, axes, disturbance, on_device(ends), first, feed)
             walls, feed = _walls_of(window, cutter, finished)
             own = lambda x: np.asarray(x)[_AROUND:]
             segment.put(found, jax.tree.map(own, walls))
