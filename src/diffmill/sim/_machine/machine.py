@@ -54,37 +54,6 @@ class RunState(eqx.Module):
     period_count: Int[Array, ""]
     cut_by: tuple[Int[Array, "..."], ...] | None = None
 
-    def stock(self) -> Stock:
-        """The stock, whose ends remember what cut them in the whole run."""
-        stock = self.process.stock
-        if self.cut_by is None:
-            return stock
-        pairs = zip(stock.families, self.cut_by, strict=True)
-        families = tuple(Rays(rays.ends, poses) for rays, poses in pairs)
-        return eqx.tree_at(lambda s: s.families, stock, families)
-
-    def ended(
-        self,
-        process: ProcessState,
-        machine: PyTree,
-        first: Int[Array, ""],
-        count: IntScalar | int,
-    ) -> "RunState":
-        """State after further periods.
-
-        Args:
-            process: The process then.
-            machine: The machine's state then.
-            first: Index in the track of the row that this is the state at, shape ().
-            count: How many periods they are.
-        """
-        cut_by = self.cut_by
-        if cut_by is not None:
-            later = (self.period_count - first) * Rays.TICKS
-            pairs = zip(process.stock.families, cut_by, strict=True)
-            cut_by = tuple(rays.cut_by(poses, later) for rays, poses in pairs)
-        return RunState(process, machine, self.period_count + count, cut_by)
-
 
 class PeriodRow(NamedTuple):
     """Input of a tooth period, or of several.
@@ -385,7 +354,7 @@ class AbstractMachine(eqx.Module):
         standing_rows = process.removal.standing_rows
         ran = count_run(live_rows(index, end), count, standing_rows)
         removed = periods.removed
-        state = state.ended(ended.process, ended.machine, start, ran)
+        cut_by = _cut_by(state, ended.process.stock, start)
         kept = _renumbered(ended.process, start - history + ran, history)
         return RunSegment(
             actual=_at_instants(periods.tip, final.tip, last),
@@ -396,7 +365,7 @@ class AbstractMachine(eqx.Module):
             removed=dataclasses.replace(removed, pose=removed.pose - start),
             has_failed=periods.has_failed,
             standing_count=ran - last,
-            state=dataclasses.replace(state, process=kept),
+            state=RunState(kept, ended.machine, state.period_count + ran, cut_by),
         )
 
     def finish_run(
@@ -416,9 +385,12 @@ class AbstractMachine(eqx.Module):
         last = first - 1 - standing_count
         pose = self.pose(process, state.machine)
         ended, removed = process.removal.finish(started.process, last, pose, first)
-        state = state.ended(ended, state.machine, first - 1, 0)
+        stock, cut_by = ended.stock, _cut_by(state, ended.stock, first - 1)
+        if cut_by is not None:
+            poses = lambda stock: [rays.poses for rays in stock.families]
+            stock = eqx.tree_at(poses, stock, list(cut_by))
         return RunEnd(
-            state.stock(),
+            stock,
             dataclasses.replace(removed, pose=removed.pose - last),
             ended.has_overflow,
             ended.has_left_window,
@@ -709,6 +681,31 @@ def all_ends(periods: Period) -> Float[Array, "step substep 3"]:
 def prepend_zeros(rows: Float[Array, "period ..."]) -> Float[Array, "step ..."]:
     """Rows with one of zeros in front."""
     return jnp.concatenate([jnp.zeros_like(rows[:1]), rows])
+
+
+def _cut_by(
+    before: RunState, stock: Stock, first: Int[Array, ""]
+) -> tuple[Int[Array, "..."], ...] | None:
+    """What cut the ends of a stock after further periods, as `RunState.cut_by`.
+
+    Args:
+        before: The state before these periods.
+        stock: The stock after them.
+        first: Index in the track of the row of that state, shape ().
+    """
+    if before.cut_by is None:
+        return None
+    later = (before.period_count - first) * Rays.TICKS
+
+    def ticks(rays: Rays, earlier: Int[Array, "..."]) -> Int[Array, "..."]:
+        # An end that these periods have not cut tells the slot that it was in.
+        slot = jnp.clip(-1 - rays.poses, 0, earlier.shape[-1] - 1)
+        kept = jnp.take_along_axis(earlier, slot, axis=-1)
+        # Teeth stood where the run began before that, too.
+        return jnp.where(rays.poses >= 0, jnp.maximum(rays.poses + later, 0), kept)
+
+    pairs = zip(stock.families, before.cut_by, strict=True)
+    return tuple(ticks(rays, earlier) for rays, earlier in pairs)
 
 
 def _with_rows(

@@ -60,21 +60,6 @@ class Rays(eqx.Module):
         slot = jnp.arange(self.ends.shape[-1], dtype=self.poses.dtype)
         return Rays(self.ends, jnp.broadcast_to(-1 - slot, self.poses.shape))
 
-    def cut_by(
-        self, before: Int[Array, "u v 2 slot"], later: Int[Array, ""]
-    ) -> Int[Array, "u v 2 slot"]:
-        """Ticks at which the ends were cut, in a run of which this is a part.
-
-        Args:
-            before: The ticks when the rays were numbered, as `poses`.
-            later: Ticks from pose 0 of the run to that of the part, shape ().
-        """
-        slot = jnp.clip(-1 - self.poses, 0, before.shape[-1] - 1)
-        earlier = jnp.take_along_axis(before, slot, axis=-1)
-        # Teeth stood where the run began before that, too.
-        own = jnp.maximum(self.poses + later, 0)
-        return jnp.where(self.poses >= 0, own, earlier)
-
     def places(
         self, u: Int[Array, "*ray"], v: Int[Array, "*ray"]
     ) -> Int[Array, "*ray 2 slot"]:
