@@ -112,7 +112,9 @@ def test_a_path_in_segments_is_the_path(tmp_path, kind):
     tell = lambda message, share: told.append((message, share))
     found = dm.simulate(job, throw=False, segment_periods=SEGMENT, on_progress=tell)
     rows = job.path.step_count
-    assert 3 * SEGMENT < rows and float(wanted.initial_overlap_volume) > 1e-10
+    assert 3 * SEGMENT < rows
+    # The small ball begins above the corner of the block.
+    assert kind == "tilted" or float(wanted.initial_overlap_volume) > 1e-10
     assert float(np.asarray(wanted.removed_volume)[2 * SEGMENT :].sum()) > 1e-10
     least, largest = np.moveaxis(np.asarray(wanted.force_range), 1, 0)
     assert np.all((least <= wanted.force) & (wanted.force <= largest))
