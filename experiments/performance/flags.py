@@ -44,12 +44,14 @@ class Worker:
         self._process = subprocess.Popen(
             command, env=environment, stdin=pipe, stdout=pipe, text=True
         )
+        assert self._process.stdin is not None and self._process.stdout is not None
+        self._asked, self._answered = self._process.stdin, self._process.stdout
         self.compiling = self._read()
 
     def seconds(self):
         """Return the processor time of a few runs [s]."""
-        self._process.stdin.write("again\n")
-        self._process.stdin.flush()
+        self._asked.write("again\n")
+        self._asked.flush()
         return self._read()
 
     def end(self):
@@ -57,7 +59,7 @@ class Worker:
         self._process.communicate()
 
     def _read(self):
-        return float(self._process.stdout.readline())
+        return float(self._answered.readline())
 
 
 def serve(program):
@@ -86,8 +88,10 @@ def compiled(program):
     is_run = program == "run"
     adjoint = process.FrozenStock() if is_run else process.ThroughPoses()
     problem = sim.MachiningProblem.of(job, adjoint)
+    machine = problem.machine
+    assert machine is not None
     motors = sim.JobKinematics(job).motors(jnp.asarray(job.path.positions))[0]
-    ends = lambda x: problem.machine.run(problem.process, x).ends
+    ends = lambda x: machine.run(problem.process, x).ends
     loss = lambda x: 1e6 * jnp.sum(ends(x)[:, -1] ** 2)
     whole = jax.jit(ends if is_run else jax.grad(loss)).lower(motors).compile()
     return lambda: jax.block_until_ready(whole(motors))

@@ -58,6 +58,7 @@ def tooth_means(record):
 def test_replayed_forces_are_those_of_the_run(tmp_path, changes, options):
     job, solution = solved(tmp_path, changes, **options)
     record = figure_inputs(job, {"predicted": solution})["forces"]
+    assert record is not None and record.force_range is not None
     window, force = record.window, np.asarray(solution.force)
     rows = np.unique(np.ceil(window.time / PERIOD).astype(int))
     assert len(rows) == 6 and np.abs(force[rows]).max() > 10.0
