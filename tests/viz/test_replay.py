@@ -60,6 +60,7 @@ def test_replayed_forces_are_those_of_the_run(tmp_path, changes, options):
     record = figure_inputs(job, {"predicted": solution})["forces"]
     assert record is not None and record.force_range is not None
     window, force = record.window, np.asarray(solution.force)
+    assert window is not None
     rows = np.unique(np.ceil(window.time / PERIOD).astype(int))
     assert len(rows) == 6 and np.abs(force[rows]).max() > 10.0
     atol = 1e-9 * np.abs(force).max()
