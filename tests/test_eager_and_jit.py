@@ -1065,6 +1065,7 @@ LEFT_OUT = {
         "workpiece.CutInterval.subtract_from",
         "workpiece.Discs.occupancy",
         "workpiece.PoseTrack.*",
+        "workpiece.Rays.ends_at",
         "workpiece.Rays.numbered",
         "workpiece.Rays.places",
         "workpiece.RemovalWindow.remove_passes",
