@@ -147,7 +147,7 @@ def test_a_long_path_is_simulated_from_the_command_line(tmp_path, capsys):
         "stock.upper": ["4 mm", "4 mm", "0 mm"],
         "stock.spacing": "1 mm",
         "cutter.diameter": "6 mm",
-        "simulation": {"angles": 16, "substeps": 1},
+        "simulation": {"angles": 180, "substeps": 1},
     }
     program = "G21 G17 G90 G94\nG0 X-4 Y2 Z-1\nG1 X7 F9\nM2\n"
     file = write_job(tmp_path, changes, program=program)
