@@ -16,7 +16,7 @@ from ...toolpath import Path
 from ...workpiece import Pose, Stock
 from .._machine.machine import AbstractMachine, Run, RunSegment
 from .._machine.rigid import PathPiece, Rigid
-from .segments import PathSegment, SegmentedRun, Segments, run_in_segments
+from .segments import MoreSlots, PathSegment, SegmentedRun, Segments, run_in_segments
 from .walls import WallRows, Walls
 
 if TYPE_CHECKING:
@@ -44,13 +44,12 @@ class SegmentPlan(NamedTuple):
         periods: Tooth periods of a segment, in whole parts of `scan_rows`; a path of at
             most so many rows is run whole.
         on_rows: Called after each segment with the number of rows done.
-        stops_at_overflow: Whether a run ends where a ray runs out of slots, since it
-            will be run again with more.
+        more_slots: As of `run_in_segments`.
     """
 
     periods: int = LONGEST
     on_rows: Callable[[int], None] = lambda count: None
-    stops_at_overflow: bool = False
+    more_slots: MoreSlots = lambda counts: None
 
     def suits(self, path: Path, given: object) -> bool:
         """True if a path is run in segments: a long one, of which nothing is traced.
@@ -152,14 +151,13 @@ class LongRun(NamedTuple):
     ) -> SegmentedRun:
         """Run of a machine in the segments, as `run_in_segments`."""
 
-        def took(segment: PathSegment, ran: RunSegment) -> bool:
+        def took(segment: PathSegment, ran: RunSegment) -> None:
             take(segment, ran)
             self.plan.on_rows(segment.first + segment.row_count)
-            overflows = bool(ran.state.process.has_overflow)
-            return not (overflows and self.plan.stops_at_overflow)
 
         process, segments = self.problem.process, self._segments(row_count)
-        return run_in_segments(machine, process, segments, command, took)
+        more_slots = self.plan.more_slots
+        return run_in_segments(machine, process, segments, command, took, more_slots)
 
     def _whole(self, ran: SegmentedRun, rows: PyTree) -> Run:
         """The run with its rows: tips, ends, forces, their range, and joints."""

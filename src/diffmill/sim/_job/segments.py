@@ -7,7 +7,7 @@ stock, the poses that wait for removal and those that it looks back on.
 
 import dataclasses
 from collections.abc import Callable, Iterator
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import equinox as eqx
 import jax
@@ -18,6 +18,7 @@ from jaxtyping import Array, Float, Int, PyTree
 from ..._arrays import on_device
 from ...numerics import CachedJit
 from ...process import Process
+from ...workpiece import Rays
 from .._machine.machine import (
     AbstractMachine,
     Removal,
@@ -27,6 +28,11 @@ from .._machine.machine import (
     TurnChips,
     outcome,
 )
+
+# Slots of a ray along x, y and z.
+SlotCounts: TypeAlias = tuple[int, int, int]
+# From slots that are too few to more of them; None for no more.
+MoreSlots: TypeAlias = Callable[[SlotCounts], SlotCounts | None]
 
 
 class PathSegment(NamedTuple):
@@ -110,7 +116,8 @@ def run_in_segments(
     process: Process,
     segments: Segments,
     command: Callable[[PathSegment], PyTree],
-    take: Callable[[PathSegment, RunSegment], bool],
+    take: Callable[[PathSegment, RunSegment], None],
+    more_slots: MoreSlots,
 ) -> SegmentedRun:
     """Run a machine segment by segment.
 
@@ -120,11 +127,12 @@ def run_in_segments(
         segments: The segments of the path.
         command: Returns what the machine is told in a segment, as for `run_segment`;
             called in the order of the segments.
-        take: Takes the rows of a segment to the host; it returns whether the run goes
-            on.
+        take: Takes the rows of a segment to the host.
+        more_slots: Returns the slots with which a segment is run again in which a ray
+            ran out of them.
 
     Returns:
-        The end of the run; where it was broken off, its later rows are zero.
+        The end of the run.
 
     **Differentiability**: runs on the host.
     """
@@ -140,6 +148,13 @@ def run_in_segments(
         process = eqx.tree_at(lambda p: p.stock, process, state.process.stock)
         rows = on_device(np.asarray(segment.row_count, np.int32))
         ran = _segment(machine, process, told, state, rows)
+        while bool(ran.state.process.has_overflow):
+            counts = more_slots(process.stock.interval_counts)
+            if counts is None:
+                break
+            state = _widened(state, counts)
+            process = eqx.tree_at(lambda p: p.stock, process, state.process.stock)
+            ran = _segment(machine, process, told, state, rows)
         state, removed = ran.state, jax.device_get(ran.removed)
         if segment.first == 0:
             # The first period removes nothing but what the tool stood in.
@@ -152,8 +167,7 @@ def run_in_segments(
         counted = [np.asarray(x)[: segment.row_count] for x in (ran.actual, ran.force)]
         is_finite &= all(np.isfinite(x).all() for x in counted)
         last = segment.first + segment.row_count - 1
-        if not take(segment, ran):
-            break
+        take(segment, ran)
     assert ran is not None and state is not None
     process = eqx.tree_at(lambda p: p.stock, process, state.process.stock)
     end = _finished(machine, process, state, ran.standing_count)
@@ -170,6 +184,24 @@ def run_in_segments(
     )
     overlap = on_device(np.asarray(overlap, dtype))
     return SegmentedRun(overlap, removal, machine.chips(state.machine))
+
+
+def _widened(state: RunState, counts: SlotCounts) -> RunState:
+    """State at the start of a segment with more slots, empty ones behind its own."""
+    families, cut_by = [], []
+    assert state.cut_by is not None
+    pairs = zip(state.process.stock.families, state.cut_by, counts, strict=True)
+    for rays, ticks, count in pairs:
+        more = (*rays.ends.shape[:3], count - rays.ends.shape[3])
+        dead = jnp.asarray([Rays.DEAD, -Rays.DEAD], rays.ends.dtype)[:, None]
+        ends = jnp.concatenate([rays.ends, jnp.broadcast_to(dead, more)], axis=3)
+        # What no pose has cut remembers its slot.
+        raw = -1 - jnp.arange(rays.ends.shape[3], count, dtype=ticks.dtype)
+        ticks = jnp.concatenate([ticks, jnp.broadcast_to(raw, more)], axis=3)
+        families.append(Rays(ends, ticks).numbered())
+        cut_by.append(ticks)
+    stock = lambda s: (s.process.stock.families, s.cut_by)
+    return eqx.tree_at(stock, state, (tuple(families), tuple(cut_by)))
 
 
 def _add_volumes(

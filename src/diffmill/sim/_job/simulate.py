@@ -38,6 +38,7 @@ from .._machine.quasi_static import QuasiStaticArm
 from .._machine.rigid import Rigid
 from .failure import troubles_of
 from .long_run import Followed, LongRun, SegmentPlan
+from .segments import SlotCounts
 from .walls import WallRows
 
 if TYPE_CHECKING:
@@ -386,22 +387,32 @@ def simulate_with_slot_growth(
         """A run that has had slots enough, and its job."""
         grown = job
 
+        share = first
+
         def on_rows(done: int) -> None:
+            nonlocal share
             share = first + (last - first) * done / count
             on_progress(f"{name}: {done} of {count} tooth periods", share)
 
+        def more_slots(counts: SlotCounts) -> SlotCounts | None:
+            nonlocal grown
+            more = _more_intervals(job, counts)
+            if more is not None:
+                grown = job.with_intervals(more)
+                on_progress(f"{name} again: {grown.notes[-1]}", share)
+            return more
+
         on_progress(name, first)
+        plan = SegmentPlan(segment_periods, on_rows, more_slots)
         while True:
-            counts = _more_intervals(grown)
-            found = run(
-                grown, SegmentPlan(segment_periods, on_rows, counts is not None)
-            )
-            if counts is None or is_traced(found.result):
+            found = run(grown, plan)
+            if is_traced(found.result):
                 return grown, found
             if not bool(found.result == RESULTS.interval_overflow):
                 return grown, found
-            grown = grown.with_intervals(counts)
-            on_progress(f"{name} again: {grown.notes[-1]}", first)
+            # A path in segments has asked for them itself.
+            if more_slots(grown.stock.interval_counts) is None:
+                return grown, found
 
     job, rigid = grown(
         "rigid cut", 0.0, 0.4, lambda job, plan: rigid_cut(job, adjoint, plan=plan)
@@ -417,8 +428,8 @@ def simulate_with_slot_growth(
     return SolvedJob(job, solution)
 
 
-def _more_intervals(job: Job) -> tuple[int, int, int] | None:
-    """Twice the slots of a job, for a run whose rays need more than it has.
+def _more_intervals(job: Job, counts: SlotCounts) -> SlotCounts | None:
+    """Twice the slots, for a run of a job whose rays need more than these.
 
     How many intervals a ray needs at once is known only when the program has been cut:
     a pocket cleared in many passes leaves strips that a ray crosses one by one. Every
@@ -430,7 +441,7 @@ def _more_intervals(job: Job) -> tuple[int, int, int] | None:
     """
     if job.keeps_intervals or is_traced(job):
         return None
-    x, y, z = job.stock.interval_counts
+    x, y, z = counts
     # A tool that stands upright never splits a ray along z.
     counts = (2 * x, 2 * y, 2 * z if job.simulation.axes else z)
     if max(counts) > _MOST_INTERVALS or job.stock.memory_with(counts).is_too_much:
