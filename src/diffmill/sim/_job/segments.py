@@ -6,7 +6,7 @@ stock, the poses that wait for removal and those that it looks back on.
 """
 
 import dataclasses
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple, TypeAlias
 
 import equinox as eqx
@@ -29,10 +29,8 @@ from .._machine.machine import (
     outcome,
 )
 
-# Slots of a ray along x, y and z.
-SlotCounts: TypeAlias = tuple[int, int, int]
-# From slots that are too few to more of them; None for no more.
-MoreSlots: TypeAlias = Callable[[SlotCounts], SlotCounts | None]
+# From slots of a ray along x, y and z that are too few to more; None for no more.
+MoreSlots: TypeAlias = Callable[[Sequence[int]], Sequence[int] | None]
 
 
 class PathSegment(NamedTuple):
@@ -186,7 +184,7 @@ def run_in_segments(
     return SegmentedRun(overlap, removal, machine.chips(state.machine))
 
 
-def _widened(state: RunState, counts: SlotCounts) -> RunState:
+def _widened(state: RunState, counts: Sequence[int]) -> RunState:
     """State at the start of a segment with more slots, empty ones behind its own."""
     families, cut_by = [], []
     assert state.cut_by is not None

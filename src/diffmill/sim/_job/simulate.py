@@ -1,7 +1,7 @@
 """Simulating a job: the rigid cut first, then the robot that cuts."""
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import equinox as eqx
@@ -38,7 +38,6 @@ from .._machine.quasi_static import QuasiStaticArm
 from .._machine.rigid import Rigid
 from .failure import troubles_of
 from .long_run import Followed, LongRun, SegmentPlan
-from .segments import SlotCounts
 from .walls import WallRows
 
 if TYPE_CHECKING:
@@ -394,7 +393,7 @@ def simulate_with_slot_growth(
             share = first + (last - first) * done / count
             on_progress(f"{name}: {done} of {count} tooth periods", share)
 
-        def more_slots(counts: SlotCounts) -> SlotCounts | None:
+        def more_slots(counts: Sequence[int]) -> Sequence[int] | None:
             nonlocal grown
             more = _more_intervals(job, counts)
             if more is not None:
@@ -428,7 +427,7 @@ def simulate_with_slot_growth(
     return SolvedJob(job, solution)
 
 
-def _more_intervals(job: Job, counts: SlotCounts) -> SlotCounts | None:
+def _more_intervals(job: Job, counts: Sequence[int]) -> Sequence[int] | None:
     """Twice the slots, for a run of a job whose rays need more than these.
 
     How many intervals a ray needs at once is known only when the program has been cut:
