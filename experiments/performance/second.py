@@ -21,7 +21,7 @@ import time
 from typing import Any
 
 # Command, example, and the processor time to reach in the second process [s].
-COMMANDS = (("simulate", "paper_small", 11.0), ("correct", "paper", 70.0))
+COMMANDS = (("simulate", "paper_small", 3.5), ("correct", "paper", 12.0))
 # Phases, and the functions of the package that run them.
 PHASES = {
     "reading the job": ("config.check_tables", "config.load_job"),

@@ -189,7 +189,7 @@ def whole_parts(row_count: int) -> int:
 def _are_run(
     is_live: Bool[Array, " row"], firsts: Int[Array, " part"], behind: int
 ) -> Bool[Array, " part"]:
-    """Whether parts are run that begin at some rows."""
+    """Flags of the parts that are run, from the rows at which they begin."""
     return is_live[jnp.maximum(firsts - behind, 0)]
 
 

@@ -118,7 +118,8 @@ def test_absent_inputs_are_named(tmp_path, simulation):
 
 
 def test_figures_are_written_by_name(tmp_path, simulation):
-    files = write_figures(tmp_path, simulation, names=["deviation", "chip"])
+    chosen = lambda name: name in ("deviation", "chip")
+    files = write_figures(tmp_path, simulation, is_chosen=chosen)
     assert list(files) == ["deviation", "chip"]
     assert files["chip"].skipped == "no chip chart was computed"
     assert [file.name for file in tmp_path.iterdir()] == ["deviation.png"]

@@ -24,9 +24,8 @@ if TYPE_CHECKING:
 _TRUE_CASES = ("uncorrected", "mirror")
 # Tooth periods from which on they run on one of these machines alone.
 _LONG_ROWS = 20_000
-# Figures that the rows of the dataset suffice for, and the others.
+# Figures that the rows of the dataset suffice for.
 _FIGURES_OF_ROWS = ("paths", "deviation")
-_FIGURES_OF_INPUTS = ("forces", "chip", "surface", "dexels", "sensitivity")
 # xarray and the parts that compute are imported when a job runs.
 Dataset: TypeAlias = Any
 Solution: TypeAlias = Any
@@ -202,7 +201,7 @@ def _with_sensitivity(run: FinishedRun, progress: Progress) -> Dataset:
 
     if not run.job.simulation.has_sensitivity:
         return run.dataset
-    progress.say("sensitivity: one derivative for each parameter")
+    progress.write("sensitivity: one derivative for each parameter")
     maps = sensitivity(run.job, commanded=np.asarray(run.final.commanded))
     return run.dataset.assign(maps.to_dataset().data_vars)
 
@@ -213,7 +212,7 @@ def _with_mismatch(run: FinishedRun, progress: Progress) -> Dataset:
 
     if "corrected_case" not in run.dataset.attrs:
         return run.dataset
-    progress.say("other machines: the command where the model is off")
+    progress.write("other machines: the command where the model is off")
     mismatches = mismatch(run.job, run.final)
     text = lambda rms: f"{1e6 * rms:.3g} um rms" if np.isfinite(rms) else "no result"
     lines = [
@@ -235,13 +234,15 @@ def _with_true_errors(run: FinishedRun, progress: Progress) -> Dataset:
     if chosen is None or job.truth.draws == 0:
         return run.dataset
     if job.robot is None:
-        progress.say("no machine is drawn about the model: it has no joints")
+        progress.write("no machine is drawn about the model: it has no joints")
         return run.dataset
     truth, rows = job.truth, job.path.step_count
     if rows > _LONG_ROWS and truth.draws > 1:
-        progress.say(f"one machine of [truth] alone: the path has {rows} tooth periods")
+        progress.write(
+            f"one machine of [truth] alone: the path has {rows} tooth periods"
+        )
         truth = dataclasses.replace(truth, draws=1)
-    progress.say(f"machines as [truth] draws them about the model: {truth.draws}")
+    progress.write(f"machines as [truth] draws them about the model: {truth.draws}")
     cases = [name for name in run.solutions if name in _TRUE_CASES or name == chosen]
     commands = {name: np.asarray(run.solutions[name].commanded) for name in cases}
     errors = TrueErrors.of_commands(job, truth, commands)
@@ -271,7 +272,7 @@ def _with_expected_error(run: FinishedRun, progress: Progress) -> Dataset:
 
     if run.job.simulation.scatter is None:
         return run.dataset
-    progress.say("expected error: the linear system around the run")
+    progress.write("expected error: the linear system around the run")
     band = error_band(run.job, run.final)
     most = list(band.shares().items())[:3]
     shares = ", ".join(f"{name} {size * 1e6:.2f}" for name, size in most)
@@ -287,7 +288,7 @@ def _with_expected_error(run: FinishedRun, progress: Progress) -> Dataset:
 def _printed(lines: list[str], progress: Progress) -> list[str]:
     """Lines as they are, which it prints."""
     for line in lines:
-        progress.say(line)
+        progress.write(line)
     return lines
 
 
@@ -311,15 +312,15 @@ def _write_pictures(
             figure_inputs, run.job, run.solutions, run.surfaces, chosen=chosen
         )
         with attempts.at("figures"):
-            figures = write_figures(folder, run.dataset, names=_FIGURES_OF_ROWS)
+            of_rows = lambda name: name in _FIGURES_OF_ROWS
+            figures = write_figures(folder, run.dataset, is_chosen=of_rows)
         with attempts.at("surface"):
             inputs = computed.result()
             if inputs["surfaces"]:
                 _write_surface(folder / "surface.nc", inputs["surfaces"])
     with attempts.at("figures"):
-        figures |= write_figures(
-            folder, run.dataset, names=_FIGURES_OF_INPUTS, **inputs
-        )
+        others = lambda name: name not in _FIGURES_OF_ROWS
+        figures |= write_figures(folder, run.dataset, is_chosen=others, **inputs)
         if run.draw is not None:
             figures |= run.draw(folder)
     dataset = _with_notes(run.dataset, [f"warning: {x}" for x in attempts.lines()])

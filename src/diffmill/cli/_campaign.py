@@ -62,7 +62,7 @@ def run_campaign_file(
     has_dask = importlib.util.find_spec("distributed") is not None
     if workers.processes is None and workers.scheduler is None and not has_dask:
         workers = workers._replace(processes=0)
-        progress.say(
+        progress.write(
             "note: the jobs run one after the other: with Dask, the extra `campaign` "
             "of diffmill, each core gets a worker (docs/campaign.md)"
         )
@@ -81,7 +81,7 @@ def run_campaign_file(
             progress,
         ):
             if unlocked:
-                progress.say(f"note: {unlocked}")
+                progress.write(f"note: {unlocked}")
             else:
                 # Parts of workers and of the dataset have no lock of their own.
                 remove_parts(jobs)

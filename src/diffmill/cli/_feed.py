@@ -79,7 +79,7 @@ def run_feed(
         _check(job, file, request)
     with locked_folder(folder) as unlocked:
         for note in (*job.notes, *filter(None, [unlocked])):
-            progress.say(f"note: {note}")
+            progress.write(f"note: {note}")
         return _tune(job, request, folder, progress, force=force)
 
 
@@ -104,7 +104,7 @@ def _tune(
     progress.answer("\n".join(_summary(job, tradeoff, tuned)))
     folder = ResultsFolder.of(folder).still_free(force=force)
     code = _write(folder, job, tradeoff, tuned, force=force)
-    progress.say(f"results: {folder}")
+    progress.write(f"results: {folder}")
     if tuning_failure:
         print(
             f"error: the feed could not be tuned: {tuning_failure}; {folder} has the "

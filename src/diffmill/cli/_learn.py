@@ -80,7 +80,7 @@ def run_learn(
     with locked_folder(folder) as unlocked:
         notes = (*measured.job.notes, *measured.notes, uncached, unlocked)
         for note in filter(None, notes):
-            progress.say(f"note: {note}")
+            progress.write(f"note: {note}")
         if advises:
             with interruption_leaves(lambda: "no results were written"):
                 return _advise(measured, folder, progress, force=force)
@@ -115,7 +115,7 @@ def run_learn(
                 draw=lambda target: _figures(target, found),
             )
             code = add_analyses(folder, finished, progress)
-            progress.say(f"results: {folder}")
+            progress.write(f"results: {folder}")
             return code or attempts.conclude(folder)
 
 
@@ -180,7 +180,7 @@ def _advise(
         (target / "summary.txt").write_text(text, encoding="utf-8")
 
     ResultsFolder.of(folder).write(fill, force=force)
-    progress.say(f"results: {folder}")
+    progress.write(f"results: {folder}")
     return 0
 
 
@@ -287,5 +287,5 @@ def _with_figures(
             _figures(target, found)
 
     attempts.add(folder, draw)
-    progress.say(f"results: {folder}")
+    progress.write(f"results: {folder}")
     return attempts.conclude(folder)

@@ -121,7 +121,7 @@ def run_job(
                 run.checkpoint = Checkpoint(folder, job, progress)
                 run.checkpoint.open(resume=resume, force=force)
         for note in (*job.notes, *filter(None, [uncached, unlocked])):
-            progress.say(f"note: {note}")
+            progress.write(f"note: {note}")
         with interruption_leaves(run.interruption_text):
             return run.finish(band, importing)
 
@@ -198,13 +198,15 @@ class JobRun:
         run = self.write(outcome, band, seconds)
         # The verdict follows the analyses that it includes.
         self._progress.answer(summary(run.dataset, "figures"))
-        self._progress.say(
+        self._progress.write(
             f"results: {self._folder}; the run took {seconds:.1f} s with compilation"
         )
         start = time.perf_counter()
         code = add_analyses(self._folder, run, self._progress)
         seconds = time.perf_counter() - start
-        self._progress.say(f"analyses, figures and report took another {seconds:.1f} s")
+        self._progress.write(
+            f"analyses, figures and report took another {seconds:.1f} s"
+        )
         if self.checkpoint is not None:
             self.checkpoint.remove()
         if self._progress.prints_json:
@@ -227,7 +229,7 @@ class JobRun:
         final = outcome.after if is_correction else outcome
         job = self._job.with_intervals(final.stock.interval_counts)
         for note in job.notes[len(self._job.notes) :]:
-            progress.say(f"note: {note}")
+            progress.write(f"note: {note}")
         surfaces, left_out, files = None, "", {}
         if not is_correction:
             dataset = with_job(outcome.to_dataset(), job)
@@ -240,7 +242,7 @@ class JobRun:
             dataset = with_job(outcome.to_dataset(surfaces), job)
             if left_out:
                 dataset.attrs["surface_left_out"] = left_out
-                progress.say(f"warning: without the error of the surface: {left_out}")
+                progress.write(f"warning: without the error of the surface: {left_out}")
             from ._written.corrected import corrected_files
             from ._written.moved_ends import moved_files
 
@@ -250,7 +252,7 @@ class JobRun:
                 moved, moved_lines = moved_files(job, self.program, commanded)
                 files, lines = files | moved, [*lines, *moved_lines]
             for line in lines:
-                progress.say(line)
+                progress.write(line)
         band = float(job.correction.tolerance_band) if band is None else band
         dataset.attrs["tolerance_band"] = band
         dataset.attrs.setdefault("wall_time_s", seconds)
@@ -277,12 +279,12 @@ def _chatter(job: "Job", before: Outcome, progress: Progress) -> "Stability | No
         growth = job_stability(job, before)
     except Exception as error:
         # The analyses after the run try it again and report a failure.
-        progress.say(f"warning: stability before the correction failed: {error}")
+        progress.write(f"warning: stability before the correction failed: {error}")
         return None
     if growth is None or growth.warning() is None:
         return None
     for line in stability_lines(growth):
-        progress.say(line)
+        progress.write(line)
     return growth
 
 

@@ -55,7 +55,7 @@ def run_identify(
         study = load_identification(file, forces, allow_outside=allow_outside)
     with locked_folder(folder) as unlocked:
         if unlocked:
-            progress.say(f"note: {unlocked}")
+            progress.write(f"note: {unlocked}")
         return _identify(file, study, folder, progress, force=force, start=start)
 
 
@@ -108,7 +108,7 @@ def _identify(
     with progress, interruption_leaves(lambda: left):
         progress.update("figures")
         attempts.add(folder, draw)
-    progress.say(f"results: {folder} ({time.perf_counter() - start:.1f} s)")
+    progress.write(f"results: {folder} ({time.perf_counter() - start:.1f} s)")
     return attempts.conclude(folder)
 
 

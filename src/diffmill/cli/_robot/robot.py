@@ -84,12 +84,12 @@ def run_robot(
         print(printable("\n".join(robot_lines(facts))))
     with locked_folder(folder) as unlocked, progress:
         if unlocked:
-            progress.say(f"note: {unlocked}")
+            progress.write(f"note: {unlocked}")
         progress.update("figures")
         ResultsFolder.of(folder).write(
             lambda target: _write_results(target, robot, q, facts), force=force
         )
-    progress.say(f"results: {folder}")
+    progress.write(f"results: {folder}")
     return 0
 
 

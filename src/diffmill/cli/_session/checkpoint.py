@@ -58,10 +58,10 @@ class Checkpoint:
             return
         latest = self.file.latest()
         for note in latest.notes:
-            self._progress.say(f"warning: {note}")
+            self._progress.write(f"warning: {note}")
         arrays = latest.arrays
         if arrays is None:
-            self._progress.say(
+            self._progress.write(
                 f"note: no checkpoint at {self.file.path}; the run starts anew"
             )
             return
@@ -76,7 +76,7 @@ class Checkpoint:
             self.file.write({**arrays, _SPENT: np.asarray(spent)})
         except OSError as error:
             if not self._has_failed:
-                self._progress.say(
+                self._progress.write(
                     f"warning: the checkpoint {self.file.path} cannot be written: "
                     f"{error.strerror}; the run goes on, but after an interruption "
                     "the steps since the last checkpoint are lost"

@@ -55,7 +55,7 @@ class Progress:
         self._start = self._said = time.perf_counter()
         self._done, self._paces = (0.0, self._start), []
         if self.is_verbose and not self._has_begun:
-            self.say(_versions())
+            self.write(_versions())
         jax.monitoring.register_scalar_listener(self._compiles)
         jax.monitoring.register_event_duration_secs_listener(self._compiled)
         self._has_begun = True
@@ -95,11 +95,11 @@ class Progress:
             return
         part, left = "", ""
         if share is not None:
-            part, left = f"{100 * share:3.0f} %  ", self._time_left(share)
+            part, left = f"{100 * share:3.0f} %  ", self._remaining_time(share)
         self._show(f"{part}{message}{left}", stays=self.is_verbose)
         self._message = f"{part}{then or message}"
 
-    def _time_left(self, share: float) -> str:
+    def _remaining_time(self, share: float) -> str:
         """Words on the time left at the pace of the latest steps; none at the ends."""
         now, (before, then) = time.perf_counter(), self._done
         if share <= before:
@@ -116,7 +116,7 @@ class Progress:
         self._message = message
         self._status.update(message)
 
-    def say(self, message: str) -> None:
+    def write(self, message: str) -> None:
         """Print a message that stays."""
         if not self.is_quiet:
             self._console.print(printable(message), markup=False)
@@ -124,7 +124,7 @@ class Progress:
     def answer(self, message: str) -> None:
         """Print a result: on the standard output, if that is not for JSON."""
         if self.prints_json or self.is_quiet:
-            self.say(message)
+            self.write(message)
         else:
             print(printable(message), flush=True)
 

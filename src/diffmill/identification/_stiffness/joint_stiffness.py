@@ -297,7 +297,7 @@ def _with_friction(
     known = np.isfinite(moved[used]).reshape(-1)
     right = (moved[used] * weight).reshape(-1)[known]
 
-    def left(wide: Float[np.ndarray, "pose component any"]) -> tuple[float, int]:
+    def misfit(wide: Float[np.ndarray, "pose component any"]) -> tuple[float, int]:
         rows = (wide[used] * weight[..., None]).reshape(-1, wide.shape[2])[known]
         size = np.linalg.norm(rows, axis=0)
         rows = rows / np.where(size > 0, size, 1.0)
@@ -305,7 +305,7 @@ def _with_friction(
         return float(np.sum((right - rows @ x) ** 2)), int(rank)
 
     both = np.concatenate([columns, yielding], axis=2)
-    (before, few), (after, many) = left(columns), left(both)
+    (before, few), (after, many) = misfit(columns), misfit(both)
     freedom = len(right) - many
     if many == few or len(right) < _NUMBERS * both.shape[2]:
         return fit, False

@@ -38,7 +38,7 @@ class Followed(NamedTuple):
 
 
 class SegmentPlan(NamedTuple):
-    """How a long path is run in segments.
+    """Plan of a run in segments, for a path that is long.
 
     Attributes:
         periods: Tooth periods of a segment, in whole parts of `scan_rows`; a path of at

@@ -16,7 +16,7 @@ from ...process import EdgeElementsInSpace, FrozenStock, Process
 from ...workpiece import Pose
 from .._analysis.stability import joint_poses
 from .._machine.machine import Run
-from .._machine.rigid import Rigid, kept_periods
+from .._machine.rigid import Rigid, recorded_periods
 from .simulate import Solution, job_process, rigid_cut
 
 # A sample so near to the border of two angles counts as beyond it [samples].
@@ -98,7 +98,7 @@ class Replay(eqx.Module):
     @property
     def rows(self) -> range:
         """Rows at which the periods end that are kept."""
-        kept = kept_periods(self.process)
+        kept = recorded_periods(self.process)
         return range(max(1, self.chip_row + 1 - kept), self.chip_row + 1)
 
     def forces(self) -> Float[np.ndarray, "row sample 3"]:
@@ -107,7 +107,7 @@ class Replay(eqx.Module):
         Sample j of n is that at the share (j + 1/2) / n of the period.
         """
         assert self.run.chips is not None
-        at = np.array(self.rows) % kept_periods(self.process)
+        at = np.array(self.rows) % recorded_periods(self.process)
         return np.asarray(self.run.chips.force)[at]
 
     def tooth_chip(self) -> ToothChip:
@@ -127,7 +127,7 @@ class Replay(eqx.Module):
         assert kept is not None
         last = np.arange(max(1, self.chip_row + 1 - teeth), self.chip_row + 1)
         angle, tooth, chip, weight = (
-            np.asarray(x, np.float64)[last % kept_periods(self.process)]
+            np.asarray(x, np.float64)[last % recorded_periods(self.process)]
             for x in (kept.angle, kept.tooth, kept.chip, kept.weight)
         )
         shape = weight.shape

@@ -96,7 +96,7 @@ class Segments:
 
 
 class SegmentedRun(NamedTuple):
-    """What segments of a run have in common.
+    """Outcome of a run in segments, beside its rows.
 
     Attributes:
         initial_overlap_volume: As of `Run`.

@@ -380,13 +380,11 @@ def simulate_with_slot_growth(
         _prepare(job, segment_periods)
     count = job.path.step_count
 
-    def grown(
+    def run_with_slots(
         name: str, first: float, last: float, run: Callable[[Job, SegmentPlan], Any]
     ) -> tuple[Job, Any]:
-        """A run that has had slots enough, and its job."""
-        grown = job
-
-        share = first
+        """Job with as many slots as a run of it takes, and that run."""
+        grown, share = job, first
 
         def on_rows(done: int) -> None:
             nonlocal share
@@ -405,18 +403,17 @@ def simulate_with_slot_growth(
         plan = SegmentPlan(segment_periods, on_rows, more_slots)
         while True:
             found = run(grown, plan)
-            if is_traced(found.result):
-                return grown, found
-            if not bool(found.result == RESULTS.interval_overflow):
-                return grown, found
-            # A path in segments has asked for them itself.
-            if more_slots(grown.stock.interval_counts) is None:
+            has_room = is_traced(found.result) or not bool(
+                found.result == RESULTS.interval_overflow
+            )
+            # A path in segments has asked for more itself.
+            if has_room or more_slots(grown.stock.interval_counts) is None:
                 return grown, found
 
-    job, rigid = grown(
+    job, rigid = run_with_slots(
         "rigid cut", 0.0, 0.4, lambda job, plan: rigid_cut(job, adjoint, plan=plan)
     )
-    job, solution = grown(
+    job, solution = run_with_slots(
         "robot and cut",
         0.4,
         1.0,

@@ -686,7 +686,7 @@ def prepend_zeros(rows: Float[Array, "period ..."]) -> Float[Array, "step ..."]:
 def _cut_by(
     before: RunState, stock: Stock, first: Int[Array, ""]
 ) -> tuple[Int[Array, "..."], ...] | None:
-    """What cut the ends of a stock after further periods, as `RunState.cut_by`.
+    """Ticks at which the ends of a stock were cut, as `RunState.cut_by`.
 
     Args:
         before: The state before these periods.

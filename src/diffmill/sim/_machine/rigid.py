@@ -74,8 +74,8 @@ class RigidState(eqx.Module):
     Attributes:
         pose: The pose that is reached.
         chips: Chips in the periods that end at the machine's `chip_row`: those of
-            period p at place p modulo `kept_periods`. A last place takes what is not
-            kept. None if no chips are asked for.
+            period p at place p modulo `recorded_periods`. A last place takes what is
+            not kept. None if no chips are asked for.
     """
 
     pose: Pose
@@ -83,12 +83,12 @@ class RigidState(eqx.Module):
 
 
 # Periods at least whose chips and forces are kept.
-_LEAST_KEPT = 6
+_LEAST_RECORDED = 6
 
 
-def kept_periods(process: Process) -> int:
+def recorded_periods(process: Process) -> int:
     """Number of periods whose chips and forces are kept."""
-    return max(_LEAST_KEPT, process.cutter.flute_count)
+    return max(_LEAST_RECORDED, process.cutter.flute_count)
 
 
 class Rigid(AbstractMachine):
@@ -112,7 +112,7 @@ class Rigid(AbstractMachine):
         start = command.poses[1] if isinstance(command, PathPiece) else command[0]
         if self.chip_row is None:
             return RigidState(start)
-        count, substeps = kept_periods(process), process.engagement.substeps
+        count, substeps = recorded_periods(process), process.engagement.substeps
         middles = start.repeated(substeps)
 
         def chips() -> TurnChips:
@@ -174,7 +174,7 @@ class Rigid(AbstractMachine):
             jnp.stack([jnp.min(samples, axis=0), jnp.max(samples, axis=0)])
         )
         if chips is not None and self.chip_row is not None:
-            kept = kept_periods(process)
+            kept = recorded_periods(process)
             periods_left = self.chip_row - poses.number
             is_kept = (periods_left >= 0) & (periods_left < kept)
             newest = if_valid(

@@ -1,7 +1,7 @@
 """All figures of a result as PNG files, with the captions that the report prints."""
 
 import os
-from collections.abc import Collection
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -59,7 +59,7 @@ def write_figures(
     out_dir: str | os.PathLike,
     dataset: "xarray.Dataset",
     *,
-    names: Collection[str] | None = None,
+    is_chosen: Callable[[str], bool] = lambda name: True,
     forces: ForceTrace | None = None,
     chip: ToothChip | None = None,
     chip_row: int | None = None,
@@ -71,7 +71,7 @@ def write_figures(
     Args:
         out_dir: Existing folder for the PNG files.
         dataset: A result of `simulate` or `correct`.
-        names: Names of the figures to write; all by default.
+        is_chosen: Whether the figure of a name is written; all by default.
         forces: Force within the tooth periods; without it the figure shows the
             mean over each tooth period from `dataset`.
         chip: Chip chart of one tooth.
@@ -98,7 +98,7 @@ def write_figures(
         drawings["sensitivity"] = lambda: _draw_sensitivity(dataset)
     files = {}
     for name, draw in drawings.items():
-        if names is not None and name not in names:
+        if not is_chosen(name):
             continue
         drawing = draw()
         if drawing.figure is None:
