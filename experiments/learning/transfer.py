@@ -55,8 +55,8 @@ def measure(report):
         parts = [part(first)]
         one = dm.learn(boss, parts)
         seen = air_part(air, in_air, stream)
-        known = dm.learn(air, [seen], prior=one.posterior, corrects=False)
-        two = dm.learn(boss, [*parts, part(one.commanded)], known=one, corrects=False)
+        known = dm.learn(air, [seen], prior=one.posterior, max_steps=0)
+        two = dm.learn(boss, [*parts, part(one.commanded)], known=one, max_steps=0)
         errors = [error(nominal)]
         errors += [of_another(x.posterior) for x in (one, known, two)]
         report.say(

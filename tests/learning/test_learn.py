@@ -41,8 +41,9 @@ def test_columns_are_differences(job, has_servos):
         )
         arm = np.asarray(run.surface_deviation)
         tip = arm + machine.field(x, program)
+        wall = tip + machine.wall_columns() @ x
         cut = dm.sim.rigid_cut(adapted, dm.process.FrozenStock())
-        return tip, arm - machine.frame_shift(adapted), np.asarray(cut.force)
+        return tip, wall, arm - machine.frame_shift(adapted), np.asarray(cut.force)
 
     names = machine.names
     assert any(n.startswith("servo") for n in np.array(names)[machine.is_free]) == (
@@ -91,7 +92,7 @@ def test_forces_are_means_over_tooth_periods(job):
     time = np.linspace(ends[3], ends[-2], 7 * (len(ends) - 5) + 1)[1:]
     each = force[np.searchsorted(ends, time - 1e-12)]
     seen = dl.MeasuredForces(each, 7.0, time, offset=2.0).seen(job, run)
-    predicted = seen.of(dl.Observables(force, force, force))
+    predicted = seen.of(dl.Observables(force, force, force, force))
     np.testing.assert_allclose(seen.value, predicted, atol=1e-9)
     np.testing.assert_allclose(np.median(seen.variance), 7.0)
     assert seen.nuisance.shape[1] == 3
@@ -115,7 +116,7 @@ def test_a_late_clock_is_not_learnt(job):
         of(seen - late, made, tips) + noise, NOISE, seen, delay=period
     )
     part = dl.Part(job.path.positions, tracked)
-    learnt = dl.learn(job, [part], prior=PRIOR, corrects=False)
+    learnt = dl.learn(job, [part], prior=PRIOR, max_steps=0)
     beyond = np.abs(np.asarray(learnt.job.path.disturbance))
     feed = 0.05
     assert beyond.max() < 0.15 * late * feed
@@ -134,7 +135,7 @@ def test_samples_of_a_tracker_are_found_on_the_path(job):
     assert seen.nuisance.shape[1] == 4 and seen.is_tracked
     rows = 1e-6 * dl.wall_times(rigid)[:, None] * np.array([1.0, 2.0, 3.0])
     np.testing.assert_allclose(
-        seen.of(dl.Observables(rows, rows, rows)), seen.value, atol=1e-12
+        seen.of(dl.Observables(rows, rows, rows, rows)), seen.value, atol=1e-12
     )
     with pytest.raises(ValueError, match="a row for each of the path's"):
         dl.TrackedTips(tips, NOISE).seen(job, rigid)

@@ -123,6 +123,7 @@ def posterior(job):
         desired=desired,
         disturbance=1e-6 * np.sin(1e3 * desired),
         uncertainty=1e-7 * np.ones_like(desired),
+        normals=np.tile([0.0, 1.0, 0.0], (len(desired), 1)),
     )
 
 
@@ -253,3 +254,30 @@ def test_advice_is_ranked_and_kept(here, monkeypatch, capsys):
     assert main(["learn", "learn.toml"]) == 2
     assert "a measured part is required" in capsys.readouterr().err
     assert not (here / "learn-learn").exists()
+
+
+def test_an_interrupted_run_goes_on_from_its_checkpoint(folder, monkeypatch, capsys):
+    (folder / "learn.toml").write_text(HEAD + TRACKER)
+    monkeypatch.chdir(folder)
+    arrays, resumed = {"step": np.asarray(1), "parameters": np.arange(3.0)}, []
+
+    def interrupted(job, parts, *, on_checkpoint, resume, **settings):
+        resumed.append(resume)
+        on_checkpoint(arrays)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(dl, "learn", interrupted)
+    file = folder / "learn-learn.checkpoint"
+    assert main(["learn", "learn.toml"]) == 1
+    assert f"{file.name} keeps what was found" in capsys.readouterr().err
+    assert main(["learn", "learn.toml"]) == 2
+    assert "--resume goes on from there" in capsys.readouterr().err
+    assert main(["learn", "learn.toml", "--resume"]) == 1
+    assert resumed[0] is None and len(resumed) == 2
+    for name, values in arrays.items():
+        np.testing.assert_array_equal(resumed[1][name], values)
+    # Of other measurements the checkpoint is of no use.
+    (folder / "learn.toml").write_text(HEAD + TRACKER.replace("2 um", "3 um"))
+    capsys.readouterr()
+    assert main(["learn", "learn.toml", "--resume"]) == 2
+    assert "a checkpoint of another job" in capsys.readouterr().err

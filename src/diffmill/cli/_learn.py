@@ -14,6 +14,7 @@ from .._toml import read_toml
 from ._analyses import add_analyses
 from ._run_job import JobRun
 from ._session.attempts import Attempts
+from ._session.checkpoint import Checkpoint
 from ._session.errors import (
     bad_correction,
     bad_input,
@@ -31,6 +32,7 @@ _OPEN = 0.5
 _SHOWN = {"1": (100.0, "%"), "rad": (1e6, "urad"), "m": (1e6, "um")}
 _OBSERVED = {
     "tip": ("tip", 1e6, "um"),
+    "wall": ("points of walls", 1e6, "um"),
     "arm": ("tip as encoders place it", 1e6, "um"),
     "force": ("force", 1.0, "N"),
 }
@@ -44,6 +46,7 @@ def run_learn(
     force: bool,
     progress: Progress,
     allow_outside: bool,
+    resume: bool = False,
 ) -> int:
     """Learn from measured parts, write what was found and the next program.
 
@@ -54,6 +57,7 @@ def run_learn(
         force: True to replace results that are there.
         progress: Display of the progress.
         allow_outside: True if the file may name files outside its folder.
+        resume: True to go on from the checkpoint of an interrupted run.
 
     Returns:
         The exit code.
@@ -61,7 +65,10 @@ def run_learn(
     kind = "advise" if advises else "learn"
     folder = pathlib.Path(f"{file.stem}-{kind}") if out is None else out
     with bad_input():
-        ResultsFolder.of(folder).check(force=force)
+        results = ResultsFolder.of(folder)
+        # A run that was interrupted after its results goes on into the same folder.
+        may_replace = force or (resume and results.has_unfinished_run())
+        results.check(force=may_replace)
         job_file = file.parent / str(read_toml(file).tables.get("job", ""))
     from ..config import JobProgram, job_precision, load_learning
 
@@ -84,24 +91,29 @@ def run_learn(
         if advises:
             with interruption_leaves(lambda: "no results were written"):
                 return _advise(measured, folder, progress, force=force)
-        with interruption_leaves(lambda: "no results were written"):
+        checkpoint = Checkpoint(folder, measured, progress)
+        with bad_input():
+            checkpoint.open(resume=resume, force=force)
+        with interruption_leaves(checkpoint.interruption_text):
             start = time.perf_counter()
-            found = _learnt(measured, progress)
+            found = _learnt(measured, progress, checkpoint)
             if found is None:
                 return 1
-        seconds = time.perf_counter() - start
+        seconds = time.perf_counter() - start + checkpoint.spent
         lines = _lines(measured, found)
         for line in lines:
             progress.answer(line)
         fill = _filler(folder, file, measured, found, lines)
         if found.correction is None:
-            ResultsFolder.of(folder).write(fill, force=force)
-            return _with_figures(folder, found, progress)
+            results.write(fill, force=may_replace)
+            code = _with_figures(folder, found, progress)
+            checkpoint.remove()
+            return code
         # What is drawn about the model is no longer about this machine.
         truth = dataclasses.replace(found.job.truth, draws=0)
         job = dataclasses.replace(found.job, truth=truth)
-        run = JobRun(True, job, folder, force, progress)
-        run.program = program
+        run = JobRun(True, job, folder, may_replace, progress)
+        run.program, run.checkpoint = program, checkpoint
         with interruption_leaves(run.interruption_text):
             finished = run.write(found.correction, None, seconds)
             attempts = Attempts()
@@ -116,10 +128,14 @@ def run_learn(
             )
             code = add_analyses(folder, finished, progress)
             progress.write(f"results: {folder}")
-            return code or attempts.conclude(folder)
+            code = code or attempts.conclude(folder)
+            checkpoint.remove()
+            return code
 
 
-def _learnt(measured: "MeasuredJob", progress: Progress) -> "LearnedMachine | None":
+def _learnt(
+    measured: "MeasuredJob", progress: Progress, checkpoint: Checkpoint | None = None
+) -> "LearnedMachine | None":
     """Machine that was learnt; None if a run of it failed, which is printed."""
     from .._result import SimulationFailed
     from ..learning import learn
@@ -131,9 +147,10 @@ def _learnt(measured: "MeasuredJob", progress: Progress) -> "LearnedMachine | No
                 measured.job,
                 measured.parts,
                 prior=measured.prior,
-                corrects=measured.steps > 0,
-                max_steps=max(measured.steps, 1),
+                max_steps=measured.steps,
                 on_progress=progress.update,
+                on_checkpoint=None if checkpoint is None else checkpoint.write,
+                resume=None if checkpoint is None else checkpoint.resumed,
             )
     except SimulationFailed as failure:
         message = f"error: a part could not be simulated: {failure}"

@@ -295,6 +295,13 @@ def learn(
     force: _Force = False,
     shown: _Shown = _Display(),
     allow_outside: _Outside = False,
+    resume: Annotated[
+        bool,
+        tyro.conf.arg(
+            help="Go on from where an interrupted run of the same file was: from the "
+            "checkpoint beside --out."
+        ),
+    ] = False,
 ) -> int:
     """Learn the machine from measured parts; write the program of the next one."""
     _read(file)
@@ -307,6 +314,7 @@ def learn(
         force=force,
         progress=shown.progress(),
         allow_outside=allow_outside,
+        resume=resume,
     )
 
 

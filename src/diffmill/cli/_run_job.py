@@ -158,11 +158,8 @@ class JobRun:
         if self._is_written:
             more = f"; {resumes}" if resumes else ""
             return f"{self._folder} has the results without figures and report{more}"
-        if self.checkpoint is not None and resumes:
-            return (
-                f"no results were written, but {self.checkpoint.file.path} keeps what "
-                f"was found: {resumes}"
-            )
+        if self.checkpoint is not None:
+            return self.checkpoint.interruption_text()
         return "no results were written"
 
     def finish(self, band: float | None, importing: threading.Thread) -> int:

@@ -17,7 +17,7 @@ from ..robot import jacobian
 from ..sim import JobKinematics, Solution, rigid_cut
 from ._gaussian_process import EXPECTED_SIZE, Observations, PathProcess
 from ._machine_posterior import MachinePosterior, normal_variance
-from ._measurement import wall_times
+from ._measurement import Observables, wall_times
 from ._parameters import AdaptableMachine
 
 # Length of what no parameter explains, before any of it is seen [s].
@@ -53,7 +53,8 @@ class TrackedRun(AbstractTrial):
         self, known: MachinePosterior
     ) -> Float[np.ndarray, "observation parameter"]:
         """Slopes of the tip, without the correlation of what none of them explains."""
-        columns, run = _tip_columns(known, self.job.with_precision())
+        seen, run = _columns(known, self.job.with_precision())
+        columns = seen.tip
         times, rows = wall_times(run), []
         for axis in range(3):
             direction = np.tile(np.eye(3)[axis], (len(times), 1))
@@ -142,7 +143,8 @@ def advise(
     tell = on_progress or (lambda message: None)
     tell("the part")
     job = job.with_precision()
-    columns, run = _tip_columns(known, job)
+    seen, run = _columns(known, job)
+    columns = seen.wall
     free = known.sizes > 0
     own = known.covariance[np.ix_(free, free)]
     is_cutting = np.asarray(run.is_cutting)
@@ -187,14 +189,12 @@ def usual_trials(job: Job, *, tracker: float, gauge: float) -> dict[str, Abstrac
 _HIGHER, _LOAD = 0.1, 300.0
 
 
-def _tip_columns(
-    known: MachinePosterior, job: Job
-) -> tuple[Float[np.ndarray, "step 3 parameter"], Solution]:
-    """Slopes of the tip in the parameters along a program, and its run as modelled."""
+def _columns(known: MachinePosterior, job: Job) -> tuple[Observables, Solution]:
+    """Slopes of a program's run in the parameters, and the run as modelled."""
     machine: AdaptableMachine = known.machine_for(job)
     rigid = rigid_cut(machine.base, FrozenStock())
     command = jnp.asarray(job.path.positions)
     run = Solution.of_command(machine.base, rigid, command, FrozenStock())
     run.raise_unless_successful(machine.base)
     slopes = machine.rigid_force_slopes()
-    return machine.columns(known.mean, rigid, command, slopes).tip, run
+    return machine.columns(known.mean, rigid, command, slopes), run

@@ -10,9 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .._job import Job
-from .._types import FloatRows3
-from ..correction import Correction, correct
-from ..numerics import lowpass
+from ..correction import Correction
 from ..process import FrozenStock
 from ..sim import Run, Solution, rigid_cut
 from ._machine_posterior import MachinePosterior, normal_variance
@@ -22,8 +20,10 @@ from ._measurement import (
     Observables,
     Observed,
     Part,
+    wall_normals,
     wall_times,
 )
+from ._next_command import CommandSearch
 from ._parameters import GROUPS, AdaptableMachine, MachinePrior, Rows3
 from ._posterior import (
     Linearised,
@@ -36,16 +36,16 @@ from ._posterior import (
     known_prior,
     processes,
 )
+from ._state import Arrays, LearningState, OnCheckpoint
 
 # Logarithm of how much more likely parameters and process must make what was seen to
 # be taken: below it a model that is right would be spoilt by noise.
 LEAST_GAIN = 3.0
 # Variance, in units of the priors, that keeps what is known already regular.
 _LEAST_VARIANCE = 1e-8
-# Of the mirror on the machine as it was learnt: cut-off frequencies [Hz], one after the
-# other, share of the deviation that a turn takes off, turns at most.
-_CUTOFFS, _RELAXATION, _MIRRORS = (6.0, 3.0), 0.7, 12
 _FIRST_STEPS, _LATER_STEPS = 3, 1
+# Groups of parameters that do not change what drives and forces do.
+_BESIDES_MACHINE = ("radius", "field")
 OnProgress = Callable[[str], None]
 
 
@@ -54,7 +54,7 @@ class ExplainedError(NamedTuple):
 
     Attributes:
         part: Number of the part, from 1.
-        observed: What was seen: "tip", "arm" or "force".
+        observed: What was seen: "tip", "wall", "arm" or "force".
         beyond_model: Beyond the model [m or N].
         beyond_machine: Beyond the machine that was learnt.
         beyond_process: Beyond this and what no parameter explains; of forces as before.
@@ -104,8 +104,8 @@ class LearnedMachine(eqx.Module):
         gain: How much more likely parameters and process make what was measured,
             logarithm; what is less than 3 is not taken.
         explained: What of each measurement is explained.
-        columns: Slopes of the tip in the parameters about the last command [m], shape
-            (step, 3, parameter).
+        columns: Slopes of the walls in the parameters about the last command, as of the
+            tip that stands in for them [m], shape (step, 3, parameter).
         machine: The machine as a function of its parameters.
         rigid: Rigid cut of the program.
         part_errors: Contour error of the commands that cut the parts, on the machine as
@@ -140,7 +140,7 @@ class LearnedMachine(eqx.Module):
             ValueError: None was asked for.
         """
         if self.correction is None:
-            raise ValueError("No command was asked for: `corrects` was False.")
+            raise ValueError("No command was asked for: `max_steps` was 0.")
         return np.asarray(self.correction.commanded)
 
     def values(self) -> tuple[LearntValue, ...]:
@@ -202,22 +202,30 @@ def learn(
     parts: Sequence[Part],
     *,
     prior: MachinePrior | MachinePosterior | None = None,
-    corrects: bool = True,
     max_steps: int = 8,
     known: LearnedMachine | None = None,
     on_progress: OnProgress | None = None,
+    on_checkpoint: OnCheckpoint | None = None,
+    resume: Arrays | None = None,
 ) -> LearnedMachine:
     """Learn from parts that were cut, and correct the program for the next one.
+
+    A command that was worse than an earlier one has gone too far: the next one begins
+    with the best so far, and goes half as far from it at most.
 
     Args:
         job: The job; its machine must have a robot.
         parts: Parts of this program, in the order in which they were cut.
         prior: Sizes of what may be wrong, the default's if not given; or what parts of
             another program have shown of the machine.
-        corrects: Whether the program is corrected, too.
-        max_steps: Steps of Gauss-Newton at most, between turns of the mirror.
+        max_steps: Steps of Gauss-Newton at most, between turns of the mirror; 0 for no
+            next command.
         known: What was learnt from the parts before, to begin there.
         on_progress: Called with a message.
+        on_checkpoint: Called with all that is needed to go on, plain arrays by name,
+            after every step.
+        resume: What it was called with for the same job and parts, to go on from there
+            to the same result.
 
     Returns:
         The machine, and the next command.
@@ -236,32 +244,34 @@ def learn(
         raise ValueError("Argument `parts` must have a part, but is empty.")
     search = _Search(job, prior or MachinePrior(), tuple(parts))
     x = search.start if known is None else known.posterior.mean
+    state = LearningState(0, x, search.set_up)
+    if resume is not None:
+        state = LearningState.of_arrays(resume)
+    keep = on_checkpoint or (lambda arrays: None)
     tell("what the machine does beyond its model")
-    system = search.linearised(x)
-    for step in range(_FIRST_STEPS if known is None else _LATER_STEPS):
-        if step > 0:
-            system = search.linearised(x)
+    last = _FIRST_STEPS if known is None else _LATER_STEPS
+    x, search.set_up, system = state.parameters, state.set_up, None
+    for step in range(state.step, last):
+        if step > state.step:
+            state = LearningState(step, x, search.set_up)
+            keep(state.arrays())
+        system = search.linearised(x)
         if system.gain < LEAST_GAIN:
-            tell("the parts show nothing that the model does not know")
-            x, search.set_up = search.center, search.set_up_alone().found
+            # Drives and forces stay as modelled: all else may still be off.
+            x, system = search.besides_machine()
             break
         x = search.step(x, system)
+    if system is None:
+        raise ValueError("Argument `resume` must be of the same parts, but is not.")
+    if system.gain < LEAST_GAIN:
+        tell("the parts show nothing that the model does not know")
     found = search.outcome(x, system)
-    if not corrects:
+    if max_steps < 1:
         return found
-    best = search.commands[int(np.argmin(found.part_errors))]
-    # Gauss-Newton stands still before joints that stick or float in a gap: the mirror
-    # brings them through, and diverges where Gauss-Newton is good.
-    correction, first = None, (max_steps + 1) // 2
-    for steps in filter(None, (first, max_steps - first)):
-        tell("next command: mirror")
-        best = search.mirrored(found.job, best)
-        tell("next command: Gauss-Newton")
-        # The corrected command holds for the machine as it is known now.
-        settings = dataclasses.replace(found.job.correction, max_steps=steps)
-        asked = dataclasses.replace(found.job, correction=settings)
-        correction = correct(asked, start=best, throw=False)
-        best = np.asarray(correction.commanded)
+    commands = CommandSearch(
+        found.job, search.rigid, tuple(search.commands), found.part_errors
+    )
+    correction = commands.found(max_steps, state, lambda at: keep(at.arrays()), tell)
     return dataclasses.replace(found, correction=correction)
 
 
@@ -271,12 +281,13 @@ def _identifiable_groups(
     """Groups of parameters that some measurements may tell apart.
 
     Points of walls see one direction each, a few for all that the drives do: what they
-    show is left to the process, which says nothing far from them.
+    show beyond the cutter's radius is left to the process, which says nothing far from
+    them.
     """
     if any(one.sees_motion for one in measurements):
         return GROUPS
     sees_force = any(isinstance(one, MeasuredForces) for one in measurements)
-    return ("force", "field") if sees_force else ("field",)
+    return (*(("force",) if sees_force else ()), *_BESIDES_MACHINE)
 
 
 class _Search:
@@ -318,6 +329,9 @@ class _Search:
         ]
         self.part = [k for k, _ in found]
         self.seen = tuple(seen for _, seen in found)
+        normals = wall_normals(self.model, self.seen)
+        if normals.any():
+            self.machine = dataclasses.replace(self.machine, normals=normals)
         self.weights = np.ones(len(found))
         self.free = np.flatnonzero(self.machine.is_free)
         self.set_up = np.zeros(sum(s.nuisance.shape[1] for s in self.seen))
@@ -334,10 +348,11 @@ class _Search:
             )
             run.raise_unless_successful(adapted)
             arm = np.asarray(run.surface_deviation)
-            field = self.machine.field(x, np.asarray(self.job.path.positions))
+            tip = arm + self.machine.field(x, np.asarray(self.job.path.positions))
+            wall = tip + self.machine.wall_columns() @ x
             shift = self.machine.frame_shift(adapted)
             self._predicted[key] = Observables(
-                arm + field, arm - shift, np.asarray(run.force)
+                tip, wall, arm - shift, np.asarray(run.force)
             )
         return self._predicted[key]
 
@@ -384,12 +399,35 @@ class _Search:
         blocks = np.asarray(block_diag(*(seen.nuisance for seen in self.seen)))
         return blocks.reshape(sum(len(seen.value) for seen in self.seen), -1)
 
-    def linearised(self, x: np.ndarray) -> Linearised:
-        """Whitened columns and residuals about some parameters, and their prior."""
+    def besides_machine(self) -> tuple[np.ndarray, Linearised]:
+        """Parameters with a machine as modelled, and the system that they solve.
+
+        Process, field and radius are taken if they are likely enough without another
+        machine. Slopes in field and radius do not depend on where they are taken.
+        """
+        groups = [self.machine.group(name).index for name in _BESIDES_MACHINE]
+        self.free = np.intersect1d(self.free, np.concatenate(groups))
+        none = self.set_up_alone().found
+        self.set_up = none
+        system = self.linearised(self.center, self._columns)
+        if system.gain >= LEAST_GAIN:
+            return self.step(self.center, system), system
+        self.set_up = none
+        return self.center, system
+
+    def linearised(
+        self, x: np.ndarray, columns: Observables | None = None
+    ) -> Linearised:
+        """Whitened columns and residuals about some parameters, and their prior.
+
+        Args:
+            x: The parameters.
+            columns: Slopes, where they are known.
+        """
         residuals = self.residuals(x)
         stacked = self.weigh(residuals)
         residual = np.concatenate(residuals)
-        columns = self.columns(x)
+        columns = self.columns(x) if columns is None else columns
         slopes = np.concatenate([seen.of(columns) for seen in self.seen])
         no_bound = np.full(len(self.set_up), -np.inf)
         unknowns = Unknowns(
@@ -441,7 +479,9 @@ class _Search:
         if system.gain < LEAST_GAIN:
             mean = np.zeros_like(mean)
         count, free = len(self.free), self.free
-        covariance = np.zeros((self.machine.count, self.machine.count))
+        covariance = np.diag(self.machine.is_free.astype(float))
+        if self.known is not None:
+            covariance = self.known.covariance.copy()
         covariance[np.ix_(free, free)] = system.covariance()[:count, :count]
         posterior = MachinePosterior(
             mean=x,
@@ -452,18 +492,24 @@ class _Search:
             desired=np.asarray(self.job.path.positions, np.float64),
             disturbance=mean,
             uncertainty=deviation,
+            normals=self.machine.normals,
         )
         assert self._columns is not None
         job = posterior.job_for(self.job)
+
+        def error(command: Rows3) -> float:
+            u = jnp.asarray(command)
+            return Solution.of_command(job, self.rigid, u, FrozenStock()).contour.rms
+
         return LearnedMachine(
             job=job,
             posterior=posterior,
             gain=system.gain,
             explained=self._explained(residuals, mean),
-            columns=self._columns.tip,
+            columns=self._columns.wall,
             machine=self.machine,
             rigid=self.rigid,
-            part_errors=tuple(self._error(job, u) for u in self.commands),
+            part_errors=tuple(error(u) for u in self.commands),
         )
 
     def _explained(
@@ -473,7 +519,7 @@ class _Search:
         rms = lambda values: float(np.sqrt(np.mean(values**2)))
         before = self.residuals(np.zeros(self.machine.count))
         none = np.zeros_like(disturbance)
-        process = Observables(disturbance, disturbance, none)
+        process = Observables(disturbance, disturbance, disturbance, none)
         return tuple(
             ExplainedError(
                 part + 1,
@@ -500,34 +546,3 @@ class _Search:
             m, s = process.smoothed(seen, stacked.rows(residual, chosen), times)
             mean, variance = mean + np.asarray(m), variance + np.asarray(s) ** 2
         return mean, np.sqrt(variance)
-
-    def mirrored(self, job: Job, command: FloatRows3) -> Rows3:
-        """Command of the least error that a filtered mirror finds, itself included.
-
-        Args:
-            job: The job on the machine as it was learnt.
-            command: The command to begin with [m], shape (step, 3).
-        """
-        program = np.asarray(self.job.path.positions)
-        reach, rate = float(job.correction.max_offset), 1 / float(job.tooth_period)
-        best, least = np.asarray(command), np.inf
-        for cutoff in _CUTOFFS:
-            command, worse = best, 0
-            for _ in range(_MIRRORS):
-                run = Solution.of_command(
-                    job, self.rigid, jnp.asarray(command), FrozenStock()
-                )
-                error, deviation = run.contour.rms, np.asarray(run.surface_deviation)
-                worse = 0 if error < least else worse + 1
-                if error < least:
-                    best, least = command, error
-                if worse == 2 or not np.all(np.isfinite(deviation)):
-                    break
-                step = _RELAXATION * lowpass(deviation, rate, cutoff)
-                command = np.clip(command - step, program - reach, program + reach)
-        return best
-
-    def _error(self, job: Job, command: FloatRows3) -> float:
-        """Contour error that a command leaves on a machine, where it cuts [m rms]."""
-        run = Solution.of_command(job, self.rigid, jnp.asarray(command), FrozenStock())
-        return run.contour.rms

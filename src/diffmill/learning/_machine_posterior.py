@@ -31,6 +31,8 @@ class MachinePosterior(eqx.Module):
         desired: Path along which the process holds [m], shape (step, 3).
         disturbance: Mean of what no parameter explains [m], shape (step, 3).
         uncertainty: Its standard deviation [m], shape (step, 3).
+        normals: Normals out of the walls that were measured, shape (step, 3); zero
+            where none was.
     """
 
     mean: Float[np.ndarray, " parameter"]
@@ -41,6 +43,7 @@ class MachinePosterior(eqx.Module):
     desired: Rows3
     disturbance: Rows3
     uncertainty: Rows3
+    normals: Rows3
 
     @classmethod
     def of_prior(cls, job: Job, prior: MachinePrior) -> "MachinePosterior":
@@ -61,6 +64,7 @@ class MachinePosterior(eqx.Module):
             desired=desired,
             disturbance=np.zeros_like(desired),
             uncertainty=np.zeros_like(desired),
+            normals=np.zeros_like(desired),
         )
 
     def machine_for(self, job: Job) -> AdaptableMachine:
@@ -81,7 +85,10 @@ class MachinePosterior(eqx.Module):
                 f"machine that was learnt, but has {', '.join(other)} and lacks "
                 f"{', '.join(lost)}."
             )
-        return dataclasses.replace(machine, sizes=self.sizes, center=self.center)
+        machine = dataclasses.replace(machine, sizes=self.sizes, center=self.center)
+        if self.is_of(job):
+            machine = dataclasses.replace(machine, normals=self.normals)
+        return machine
 
     def is_of(self, job: Job) -> bool:
         """True for a job with the program along which the process holds."""
@@ -96,7 +103,8 @@ class MachinePosterior(eqx.Module):
         """Job of a program on the machine that was learnt, touched off.
 
         What no parameter explains goes with the program along which it was seen, and
-        not to another one.
+        not to another one; nor does a radius that is off, for which the walls must be
+        known.
 
         Args:
             job: The job, in its precision; of any program.
@@ -110,7 +118,7 @@ class MachinePosterior(eqx.Module):
         adapted = machine.job_at(x)
         more = machine.field(x, np.asarray(job.path.positions))
         if self.is_of(job):
-            more = more + self.disturbance
+            more = more + self.disturbance + machine.wall_columns() @ x
         own = job.path.disturbance
         path = dataclasses.replace(
             adapted.path, disturbance=more if own is None else own + more
@@ -150,6 +158,7 @@ class MachinePosterior(eqx.Module):
                 "desired": (("step", "axis"), self.desired),
                 "disturbance": (("step", "axis"), self.disturbance),
                 "uncertainty": (("step", "axis"), self.uncertainty),
+                "normal": (("step", "axis"), self.normals),
             },
             coords={"parameter": list(self.names), "axis": list("xyz")},
             attrs={"title": _TITLE},
@@ -173,7 +182,7 @@ class MachinePosterior(eqx.Module):
                 raise ValueError("holds no machine that `learn` has written")
             of = lambda name: np.asarray(dataset[name].values, np.float64)
             names = tuple(str(name) for name in dataset["parameter"].values)
-            rows = (of(n) for n in ("desired", "disturbance", "uncertainty"))
+            rows = map(of, ("desired", "disturbance", "uncertainty", "normal"))
             return cls(
                 of("mean"), of("covariance"), of("size"), names, of("center"), *rows
             )

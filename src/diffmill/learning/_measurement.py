@@ -2,6 +2,7 @@
 
 import abc
 import dataclasses
+from collections.abc import Sequence
 from typing import ClassVar, Literal, NamedTuple, TypeAlias
 
 import equinox as eqx
@@ -16,9 +17,11 @@ from ..robot import forward_kinematics, jacobian
 from ..sim import Solution
 
 Values = Float[np.ndarray, " observation"]
-Observed: TypeAlias = Literal["tip", "arm", "force"]
+Observed: TypeAlias = Literal["tip", "wall", "arm", "force"]
 # No instrument is better [m].
 _LEAST_NOISE = 1e-8
+# Spacings of points, in time, within which a row cuts the wall that they lie on.
+_WALL_SPACINGS = 3.0
 # A sample at the end of a period belongs to it [s].
 _ROUNDING = 1e-9
 
@@ -28,12 +31,15 @@ class Observables(NamedTuple):
 
     Attributes:
         tip: Deviation of the tip at the wall instants [m], shape (step, 3, ...).
-        arm: The same as encoders on the links see it: the work where it was before
-            anything was learnt, and without what errors of links leave.
+        wall: The same with the wall that the cutter makes: where its radius is off the
+            tip stands in for it, farther along the normal.
+        arm: That of the tip as encoders on the links see it: the work where it was
+            before anything was learnt, and without what errors of links leave.
         force: Mean force on the tool over the period before [N], same shape.
     """
 
     tip: Float[np.ndarray, "step 3 *more"]
+    wall: Float[np.ndarray, "step 3 *more"]
     arm: Float[np.ndarray, "step 3 *more"]
     force: Float[np.ndarray, "step 3 *more"]
 
@@ -379,7 +385,7 @@ class WallPoints(AbstractMeasurement):
         order = np.argsort(time, kind="stable")
         has_offset = float(self.offset) > 0
         return Seen(
-            observed="tip",
+            observed="wall",
             time=time[order],
             row=row[order],
             share=share[order],
@@ -389,6 +395,46 @@ class WallPoints(AbstractMeasurement):
             nuisance=(float(self.offset) * normals[order])[:, : 3 * has_offset],
             is_tracked=False,
         )
+
+
+def wall_normals(rigid: Solution, seen: Sequence[Seen]) -> FloatRows3:
+    """Normals out of the walls that points were measured on, of each row.
+
+    The side of the path on which a wall lies is that of the point which was cut nearest
+    in time, its normal across the path.
+
+    Args:
+        rigid: Solution of the program.
+        seen: What was seen, of points and of all else.
+
+    Returns:
+        Horizontal unit vectors, shape (step, 3); zero where nothing is cut, and far
+        from all points.
+    """
+    desired = np.asarray(rigid.desired, np.float64)
+    points = [one for one in seen if one.observed == "wall"]
+    found = np.zeros_like(desired)
+    if not points:
+        return found
+    time = np.concatenate([one.time for one in points])
+    normal = np.concatenate([one.direction for one in points])
+    is_wall = np.hypot(normal[:, 0], normal[:, 1]) > 0.5
+    order = np.flatnonzero(is_wall)[np.argsort(time[is_wall], kind="stable")]
+    time, normal = time[order], normal[order]
+    way = np.gradient(desired[:, :2], axis=0)
+    size = np.linalg.norm(way, axis=1)
+    if len(time) < 2:
+        return found
+    instants = wall_times(rigid)
+    last = np.clip(np.searchsorted(time, instants), 1, len(time) - 1)
+    nearest = last - (instants - time[last - 1] < time[last] - instants)
+    reach = _WALL_SPACINGS * float(np.median(np.diff(time)))
+    is_near = np.abs(instants - time[nearest]) <= reach
+    rows = np.flatnonzero(is_near & np.asarray(rigid.is_cutting) & (size > 1e-12))
+    left = np.stack([-way[rows, 1], way[rows, 0]], axis=1) / size[rows, None]
+    side = np.sign(np.sum(left * normal[nearest[rows], :2], axis=1))
+    found[rows, :2] = side[:, None] * left
+    return found
 
 
 class Part(eqx.Module):

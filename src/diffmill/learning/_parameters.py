@@ -49,7 +49,7 @@ Rows3 = Float[np.ndarray, "step 3"]
 # Groups of parameters, in their order.
 GROUPS = (
     *("stiffness", "damping", "force", "friction", "backlash", "servo"),
-    "field",
+    *("radius", "field"),
 )
 
 
@@ -68,6 +68,8 @@ class MachinePrior(eqx.Module):
             the joint's spring [rad or m].
         backlash: Of the gap of each joint [rad or m].
         servo: Of the logarithm of the bandwidth of each servo, if the job has any [-].
+        radius: Of what the cutter cuts beyond its radius by run-out, wear and size [m];
+            points of walls alone show it.
         offset: Of the tip's error all over the work, along each axis [m].
         gradient: Of how that error grows over the work, each component [-].
     """
@@ -79,6 +81,7 @@ class MachinePrior(eqx.Module):
     friction: float | tuple[float, ...] = 2e-5
     backlash: float | tuple[float, ...] = 3e-5
     servo: float | tuple[float, ...] = 0.1
+    radius: float = 5e-6
     offset: float = 3e-5
     gradient: float = 2e-4
 
@@ -87,8 +90,8 @@ class Group(eqx.Module):
     """Parameters of one kind, one after the other.
 
     Attributes:
-        name: "stiffness", "damping", "force", "friction", "backlash", "servo" or
-            "field".
+        name: "stiffness", "damping", "force", "friction", "backlash", "servo", "radius"
+            or "field".
         first: Index of the first one.
         count: How many there are.
     """
@@ -113,6 +116,8 @@ class AdaptableMachine(eqx.Module):
         base: The job; its controller knows the model.
         sizes: Standard deviations of the priors, shape (parameter,).
         center: Point of the work about which the field turns [m], shape (3,).
+        normals: Normals out of the walls that are known, see `wall_normals`, shape
+            (step, 3).
         groups: The parameters by kind; the field is the last.
         names: Names of the parameters.
     """
@@ -120,6 +125,7 @@ class AdaptableMachine(eqx.Module):
     base: Job
     sizes: Float[np.ndarray, " parameter"]
     center: Float[np.ndarray, " 3"]
+    normals: Rows3
     groups: tuple[Group, ...] = eqx.field(static=True)
     names: tuple[str, ...] = eqx.field(static=True)
 
@@ -159,6 +165,7 @@ class AdaptableMachine(eqx.Module):
                 np.where(motors & _has_servos(job), each(prior.servo), 0.0),
                 [f"servo {n}" for n in joints],
             ),
+            "radius": (np.full(1, prior.radius), ["radius of the cutter"]),
             "field": (
                 np.r_[np.full(3, prior.offset), np.full(9, prior.gradient)],
                 [
@@ -176,6 +183,7 @@ class AdaptableMachine(eqx.Module):
             base=base,
             sizes=np.concatenate([sizes for sizes, _ in kinds.values()]),
             center=0.5 * (positions.min(axis=0) + positions.max(axis=0)),
+            normals=np.zeros_like(positions),
             groups=tuple(groups),
             names=tuple(name for _, names in kinds.values() for name in names),
         )
@@ -213,6 +221,8 @@ class AdaptableMachine(eqx.Module):
             return tuple({"rad": "N*m", "m": "N"}[unit] for unit in joints)
         if name == "backlash":
             return joints
+        if name == "radius":
+            return ("m",)
         if name == "field":
             return ("m",) * 3 + ("rad",) * 9
         return ("1",) * self.group(name).count
@@ -268,6 +278,13 @@ class AdaptableMachine(eqx.Module):
                 columns[:, a, group.first + 3 + 3 * a + b] = arm[:, b]
         return columns * self.sizes
 
+    def wall_columns(self) -> Float[np.ndarray, "step 3 parameter"]:
+        """Slopes of the walls, as tips that stand in for them, in the radius [m]."""
+        index = self.group("radius").first
+        columns = np.zeros((*self.normals.shape, self.count))
+        columns[:, :, index] = -self.normals * self.sizes[index]
+        return columns
+
     def columns(
         self,
         x: Float[np.ndarray, " parameter"],
@@ -304,8 +321,8 @@ class AdaptableMachine(eqx.Module):
             way = _SECANT * np.eye(self.count)[k]
             there = self._deviations(x + way, rigid, command)
             tip[:, :, k], arm[:, :, k] = (there - here) / _SECANT
-        field = self.field_columns(np.asarray(job.path.positions))
-        return Observables(tip + field, arm, np.asarray(force))
+        tip = tip + self.field_columns(np.asarray(job.path.positions))
+        return Observables(tip, tip + self.wall_columns(), arm, np.asarray(force))
 
     def _with_corners(self) -> np.ndarray:
         """Indices of the free parameters of friction and gaps."""

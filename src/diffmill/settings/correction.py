@@ -372,8 +372,9 @@ class CorrectionSettings(Settings, table="correction"):
         default=None,
         works_with=_HELD,
     )
-    max_steps: Annotated[StrictInt, Field(ge=1, le=1000)] = key(
-        "largest number of steps of the optimiser; if left out 2, or 60 with adam",
+    max_steps: Annotated[StrictInt, Field(ge=0, le=1000)] = key(
+        "largest number of steps of the optimiser, 0 for its start as it is; if left "
+        "out 2, or 60 with adam",
         default=2,
         follows=True,
     )

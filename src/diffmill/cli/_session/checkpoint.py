@@ -1,4 +1,4 @@
-"""Checkpoints of a long correction, and its resumption."""
+"""Checkpoints of long work, and its resumption."""
 
 import pathlib
 import time
@@ -13,6 +13,7 @@ from .progress import Progress
 
 if TYPE_CHECKING:
     from ..._job import Job
+    from ...config import MeasuredJob
 
 # Name of the time of the run in a checkpoint [s].
 _SPENT = "spent_s"
@@ -28,7 +29,9 @@ class Checkpoint:
         is_ours: True if this run has written it or goes on from it.
     """
 
-    def __init__(self, folder: pathlib.Path, job: "Job", progress: Progress):
+    def __init__(
+        self, folder: pathlib.Path, job: "Job | MeasuredJob", progress: Progress
+    ):
         from ...io import CheckpointFile
 
         self.file = CheckpointFile.of_job(ResultsFolder.of(folder).checkpoint, job)
@@ -84,6 +87,15 @@ class Checkpoint:
             self._has_failed = True
             return
         self.is_ours = True
+
+    def interruption_text(self) -> str:
+        """Sentence on what an interruption leaves before there are results."""
+        if not self.file.exists():
+            return "no results were written"
+        return (
+            f"no results were written, but {self.file.path} keeps what was found: the "
+            "same command with --resume goes on from there"
+        )
 
     def remove(self) -> None:
         """Remove it after the results have been written."""

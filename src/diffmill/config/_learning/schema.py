@@ -155,6 +155,11 @@ class MachinePriorTable(TomlTable):
     servo: Uncertainty = Field(
         default=0.1, description="share by which the bandwidth of each servo is off"
     )
+    radius: Tolerance = Field(
+        default=5e-6,
+        description="what the cutter cuts beyond its radius, by run-out, wear and "
+        "size; points of walls alone show it",
+    )
     offset: Tolerance = Field(
         default=3e-5, description="error of the tip all over the work, along each axis"
     )

@@ -23,6 +23,7 @@ CAUSES = {
     "friction": "friction",
     "backlash": "backlash",
     "servo": "servos",
+    "radius": "radius of the cutter",
     "field": "links, place of the work",
     "process": "none of these",
 }
