@@ -1,12 +1,404 @@
-"""Numbers that a program writes as sums and products, and lists of arguments."""
+"""Expressions of program languages: operators by precedence, values, variables.
+
+A language has a `Grammar`; `Parser` makes an `Expression` of its text, a function of
+`Variables`. What is parsed once may be evaluated often.
+"""
 
 import ast
 import math
 import operator
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple, TypeAlias
 
-from .limits import LARGEST_NUMBER
+from .limits import LARGEST_NUMBER, MOST_VALUES
+
+# A list is an array, counted from 1, a dictionary a structure; None has no value yet.
+Value: TypeAlias = int | float | bool | str | list[Any] | dict[str, Any] | None
+Name: TypeAlias = str | int
+Expression: TypeAlias = Callable[["Variables"], Value]
+
+# Brackets, signs and names of names that stand in each other.
+_DEEPEST_OPERAND = 40
+_LARGEST_VALUE = 1e100
+_LONGEST_STRING = 10_000
+
+
+class ExpressionError(ValueError):
+    """An expression that cannot be read, or that has no value.
+
+    Attributes:
+        word: What was found; may be empty.
+    """
+
+    def __init__(self, word: str, message: str):
+        self.word = word[:30]
+        super().__init__(message)
+
+
+class Variables:
+    """Values by name: those of the program, and each call's own.
+
+    Attributes:
+        shared: Values that all routines see.
+        calls: Own values of the calls at work, the main program's first.
+        is_own: Whether a name that nothing declares belongs to its call.
+        missing: Value of a name that has none; it may raise an `ExpressionError`.
+    """
+
+    def __init__(
+        self,
+        missing: Callable[[Name], Value],
+        is_own: Callable[[Name], bool] = lambda name: False,
+    ):
+        self.shared: dict[Name, Value] = {}
+        self.calls: list[dict[Name, Value]] = [{}]
+        self.is_own, self.missing = is_own, missing
+        self._size = 0
+
+    def __contains__(self, name: Name) -> bool:
+        """True if a name has a value."""
+        return name in self.calls[-1] or name in self.shared
+
+    def get(self, name: Name) -> Value:
+        """Value of a name."""
+        own = self.calls[-1]
+        value = own[name] if name in own else self.shared.get(name)
+        return self.missing(name) if value is None else value
+
+    def set(self, name: Name, value: Value) -> None:
+        """Give a name a value, where it is declared, else where it belongs."""
+        own = self.calls[-1]
+        values = own if name in own else self.shared
+        if name not in values:
+            values = own if self.is_own(name) else self.shared
+            self._count(value)
+        values[name] = value
+
+    def declare(self, name: Name, value: Value, *, is_shared: bool = False) -> None:
+        """Give a name a value of the call at work, or of the whole program."""
+        self._count(value)
+        (self.shared if is_shared else self.calls[-1])[name] = value
+
+    def enter(self, own: dict[Name, Value]) -> None:
+        """Begin a call with own values."""
+        for value in own.values():
+            self._count(value)
+        self.calls.append(own)
+
+    def leave(self) -> dict[Name, Value]:
+        """End a call; return its own values."""
+        own = self.calls.pop()
+        self._size -= sum(map(_count, own.values()))
+        return own
+
+    def _count(self, value: Value) -> None:
+        self._size += _count(value)
+        if self._size > MOST_VALUES:
+            message = f"the program keeps more than {MOST_VALUES} values."
+            raise ExpressionError("", message)
+
+
+def _count(value: Value) -> int:
+    """Number of the values that a value has in it."""
+    if isinstance(value, list | dict):
+        parts = value.values() if isinstance(value, dict) else value
+        return 1 + sum(map(_count, parts))
+    return 1
+
+
+class Variable(NamedTuple):
+    """Where a value can be put: a variable, or a part of one.
+
+    Attributes:
+        name: The variable's name.
+        path: Indices, counted from 1, and names of components that lead to the part.
+    """
+
+    name: Callable[[Variables], Name]
+    path: tuple[Expression | str, ...] = ()
+
+    def get(self, variables: Variables) -> Value:
+        """Value of the place."""
+        value = variables.get(self.name(variables))
+        for step in self.path:
+            holder, key = _part(value, step, variables)
+            value = holder[key]
+        return value
+
+    def set(self, variables: Variables, value: Value) -> None:
+        """Put a value; what is copied has no part in common with its source."""
+        value, name = _copied(value), self.name(variables)
+        if not self.path:
+            variables.set(name, value)
+            return
+        holder = variables.get(name)
+        for step in self.path[:-1]:
+            inner, key = _part(holder, step, variables)
+            holder = inner[key]
+        inner, key = _part(holder, self.path[-1], variables)
+        inner[key] = value
+
+
+def _part(
+    value: Value, step: Expression | str, variables: Variables
+) -> tuple[Any, Any]:
+    """Array or structure of a value, and the index or name of a part that it has."""
+    if isinstance(step, str):
+        if isinstance(value, dict) and step in value:
+            return value, step
+        raise ExpressionError(step, "there is no such component.")
+    index = step(variables)
+    if not isinstance(value, list):
+        raise ExpressionError("", "what has an index is an array.")
+    if not isinstance(index, int | float) or index % 1 or not 1 <= index <= len(value):
+        message = f"the index is {index}; allowed is 1 to {len(value)}."
+        raise ExpressionError("", message)
+    return value, int(index) - 1
+
+
+def _copied(value: Value) -> Value:
+    if isinstance(value, list):
+        return [_copied(part) for part in value]
+    if isinstance(value, dict):
+        return {name: _copied(part) for name, part in value.items()}
+    return value
+
+
+def _no_operand(parser: "Parser") -> Expression | None:
+    return None
+
+
+@dataclass(frozen=True)
+class Grammar:
+    """How a language writes expressions. Words are in upper case.
+
+    Attributes:
+        token: Pattern of a token; its groups `number`, `name`, `text` (a string, with
+            its quotes) and `sign` tell what it is.
+        binary: Operators between operands by precedence, the weakest first.
+        unary: Operators before an operand, with the index in `binary` of the weakest
+            operators that their operand has in it.
+        functions: Functions of values, called with brackets behind their name.
+        constants: Values of names.
+        brackets: Those around an operand, around arguments and around an index; an
+            empty index is none.
+        operand: Reader of operands that only this language has; None for no such one.
+        is_calling: Whether any name may be a function, which `call` then carries out.
+    """
+
+    token: re.Pattern[str]
+    binary: tuple[Mapping[str, Callable[[Value, Value], Value]], ...]
+    unary: Mapping[str, tuple[Callable[[Value], Value], int]]
+    functions: Mapping[str, Callable[..., Value]]
+    constants: Mapping[str, Value] = field(default_factory=dict)
+    brackets: tuple[str, str, str] = ("()", "()", "[]")
+    operand: "Callable[[Parser], Expression | None]" = _no_operand
+    call: Callable[[str, list[Expression]], Expression] | None = None
+
+
+class Parser:
+    """Reader of the tokens of a text from a position on.
+
+    Attributes:
+        at: Position behind the last token that was taken.
+        kind: Group of the next token, "" at the end or where there is none.
+        word: The next token, a name or a sign in upper case.
+    """
+
+    def __init__(self, text: str, grammar: Grammar, at: int = 0):
+        self.text, self.grammar, self.at = text, grammar, at
+        self._depth = 0
+        self._look()
+
+    def _look(self) -> None:
+        match = self.grammar.token.match(self.text, self.at)
+        self.kind = (match.lastgroup or "") if match else ""
+        self.word, self._end = "", self.at
+        if match and self.kind:
+            self.word, self._end = match[self.kind], match.end()
+            if self.kind != "text":
+                self.word = self.word.upper()
+
+    def advance(self) -> str:
+        """Take the next token; return its word."""
+        word, self.at = self.word, self._end
+        self._look()
+        return word
+
+    def take(self, words: Collection[str]) -> str:
+        """Take the next token if it is one of some words; else return ""."""
+        is_word = self.kind in ("name", "sign") and self.word in words
+        return self.advance() if is_word else ""
+
+    def expect(self, word: str) -> None:
+        """Take a token that has to follow."""
+        if not self.take((word,)):
+            found = self.text[self.at :].strip()
+            raise ExpressionError(found or self.text, f"needed is a {word} here.")
+
+    def finish(self) -> None:
+        """Refuse anything behind what was taken."""
+        if rest := self.text[self.at :].strip():
+            raise ExpressionError(rest, "does not belong to the expression before it.")
+
+    def expression(self, level: int = 0) -> Expression:
+        """Read an expression of the operators from a level of precedence on."""
+        if level == len(self.grammar.binary):
+            return self.operand()
+        operators, first = self.grammar.binary[level], self.expression(level + 1)
+        operands: list[tuple[Callable[[Value, Value], Value], Expression]] = []
+        while word := self.take(operators):
+            operands.append((operators[word], self.expression(level + 1)))
+        return _chain(first, operands) if operands else first
+
+    def operand(self) -> Expression:
+        """Read a number, a variable, a call, or an expression in brackets."""
+        self._depth += 1
+        if self._depth > _DEEPEST_OPERAND:
+            message = f"brackets and signs are nested deeper than {_DEEPEST_OPERAND}."
+            raise ExpressionError(self.text[self.at :], message)
+        grammar, (opening, closing) = self.grammar, self.grammar.brackets[0]
+        value = grammar.operand(self)
+        if value is not None:
+            pass
+        elif self.kind == "number":
+            value = _constant(number_of(self.advance()))
+        elif self.kind == "text":
+            value = _constant(self.advance()[1:-1])
+        elif word := self.take(grammar.unary):
+            action, level = grammar.unary[word]
+            value = _chain(self.expression(level), [(_unary(action), _constant(None))])
+        elif self.take(opening):
+            value = self.expression()
+            self.expect(closing)
+        elif self.kind == "name":
+            value = self._named()
+        else:
+            found = self.text[self.at :].strip()
+            raise ExpressionError(found or self.text, "needed is a number or a name.")
+        self._depth -= 1
+        return value
+
+    def _named(self) -> Expression:
+        """Read a constant, a call or a variable."""
+        grammar = self.grammar
+        if self.word in grammar.constants:
+            return _constant(grammar.constants[self.advance()])
+        position = self.at
+        name = self.advance()
+        if self.kind == "sign" and self.word == grammar.brackets[1][0]:
+            function = grammar.functions.get(name)
+            if function is not None:
+                return _call(function, self.arguments())
+            if grammar.call is not None:
+                return grammar.call(name, self.arguments())
+            raise ExpressionError(self.text[position:].strip(), "no such function.")
+        return self._rest_of_variable(name).get
+
+    def arguments(self) -> list[Expression]:
+        """Read expressions in brackets, separated by commas."""
+        opening, closing = self.grammar.brackets[1]
+        self.expect(opening)
+        values: list[Expression] = []
+        while not self.take(closing):
+            if values:
+                self.expect(",")
+            values.append(self.expression())
+        return values
+
+    def variable(self) -> Variable:
+        """Read a variable, with an index or components."""
+        if self.kind != "name":
+            found = self.text[self.at :].strip()
+            raise ExpressionError(found or self.text, "needed is the name of a value.")
+        return self._rest_of_variable(self.advance())
+
+    def _rest_of_variable(self, name: str) -> Variable:
+        path: list[Expression | str] = []
+        opening, closing = self.grammar.brackets[2] or ("", "")
+        while self.kind == "sign":
+            if self.take("."):
+                path.append(self.advance())
+            elif opening and self.take(opening):
+                path.append(self.expression())
+                while self.take(","):
+                    path.append(self.expression())
+                self.expect(closing)
+            else:
+                break
+        return Variable(lambda variables: name, tuple(path))
+
+
+def number_of(text: str) -> float | int:
+    """Value of a number as written, a whole one without a point as such."""
+    try:
+        return int(text) if len(text) < 20 else float(text)
+    except ValueError:
+        return float(text)
+
+
+def _constant(value: Value) -> Expression:
+    return lambda variables: value
+
+
+def _unary(action: Callable[[Value], Value]) -> Callable[[Value, Value], Value]:
+    return lambda value, nothing: action(value)
+
+
+def _chain(
+    first: Expression,
+    operands: list[tuple[Callable[[Value, Value], Value], Expression]],
+) -> Expression:
+    """Operators of one precedence from left to right, their results bounded."""
+
+    def value(variables: Variables) -> Value:
+        result = first(variables)
+        for action, operand in operands:
+            result = _bounded(action(result, operand(variables)))
+        return result
+
+    return value
+
+
+def _call(function: Callable[..., Value], arguments: list[Expression]) -> Expression:
+    def value(variables: Variables) -> Value:
+        return _bounded(function(*[argument(variables) for argument in arguments]))
+
+    return value
+
+
+def _bounded(value: Value) -> Value:
+    """The value, if it is neither too large nor no number."""
+    if isinstance(value, str) and len(value) > _LONGEST_STRING:
+        raise ExpressionError(value, "a string is too long.")
+    if isinstance(value, int | float) and not abs(value) <= _LARGEST_VALUE:
+        raise ExpressionError("", f"a number is beyond {_LARGEST_VALUE:g}.")
+    return value
+
+
+def evaluated(expression: Expression, variables: Variables) -> Value:
+    """Value of an expression.
+
+    Raises:
+        ExpressionError: If it has none.
+    """
+    try:
+        return expression(variables)
+    except ZeroDivisionError:
+        raise ExpressionError("", "a number is divided by zero.") from None
+    except ArithmeticError:
+        raise ExpressionError("", "a number is too large.") from None
+    except TypeError:
+        message = "an operator or a function has no value for what it is given."
+        raise ExpressionError("", message) from None
+    except ExpressionError:
+        raise
+    except ValueError:
+        message = "a function has no value for its argument."
+        raise ExpressionError("", message) from None
+
 
 _OPERATORS = {
     ast.Add: operator.add,

@@ -16,6 +16,10 @@ MOST_TURNS = 10_000
 # Two million lines of motion are the longest program that is read.
 MOST_MOVES = 2_000_000
 DEEPEST_NESTING = 10
+# Lines that loops and calls carry out again, calls in each other, values of variables.
+MOST_REPEATED = 250_000
+DEEPEST_CALLS = 100
+MOST_VALUES = 100_000
 MOST_DIGITS = 300
 _LONG_NUMBER = re.compile(rf"\d{{{MOST_DIGITS + 1}}}")
 UNUSUAL_SPEED = Path.UNUSUAL_SPEED
