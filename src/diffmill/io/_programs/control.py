@@ -12,8 +12,8 @@ from .expressions import (
     Expression,
     ExpressionError,
     Name,
-    Variable,
     Value,
+    Variable,
     Variables,
     evaluated,
 )

@@ -120,7 +120,7 @@ class Variable(NamedTuple):
     path: tuple[Expression | str, ...] = ()
 
     def get(self, variables: Variables) -> Value:
-        """Value of the place."""
+        """Value of the variable."""
         value = variables.get(self.name(variables))
         for step in self.path:
             holder, key = _part(value, step, variables)
@@ -164,6 +164,13 @@ def _copied(value: Value) -> Value:
     if isinstance(value, dict):
         return {name: _copied(part) for name, part in value.items()}
     return value
+
+
+class _Operand(NamedTuple):
+    """What stands behind an operator, with it."""
+
+    operator: Callable[[Value, Value], Value]
+    value: Expression
 
 
 def _no_operand(parser: "Parser") -> Expression | None:
@@ -248,9 +255,9 @@ class Parser:
         if level == len(self.grammar.binary):
             return self.operand()
         operators, first = self.grammar.binary[level], self.expression(level + 1)
-        operands: list[tuple[Callable[[Value, Value], Value], Expression]] = []
+        operands: list[_Operand] = []
         while word := self.take(operators):
-            operands.append((operators[word], self.expression(level + 1)))
+            operands.append(_Operand(operators[word], self.expression(level + 1)))
         return _chain(first, operands) if operands else first
 
     def operand(self) -> Expression:
@@ -269,7 +276,7 @@ class Parser:
             value = _constant(self.advance()[1:-1])
         elif word := self.take(grammar.unary):
             action, level = grammar.unary[word]
-            value = _chain(self.expression(level), [(_unary(action), _constant(None))])
+            value = _call(action, [self.expression(level)])
         elif self.take(opening):
             value = self.expression()
             self.expect(closing)
@@ -343,20 +350,16 @@ def _constant(value: Value) -> Expression:
     return lambda variables: value
 
 
-def _unary(action: Callable[[Value], Value]) -> Callable[[Value, Value], Value]:
-    return lambda value, nothing: action(value)
-
-
 def _chain(
     first: Expression,
-    operands: list[tuple[Callable[[Value, Value], Value], Expression]],
+    operands: list[_Operand],
 ) -> Expression:
     """Operators of one precedence from left to right, their results bounded."""
 
     def value(variables: Variables) -> Value:
         result = first(variables)
-        for action, operand in operands:
-            result = _bounded(action(result, operand(variables)))
+        for operand in operands:
+            result = _bounded(operand.operator(result, operand.value(variables)))
         return result
 
     return value
