@@ -16,7 +16,11 @@ DATA = ROOT / os.environ.get("DIFFMILL_REFERENCE_DATA", "../shared/data")
 NC = DATA / "nc"
 # Programs made at random and by hand, and what LinuxCNC 2.9 did with them, its zeros
 # added.
-MADE = json.loads((ROOT / "tests/references/linuxcnc_motion.json").read_text())
+MADE = [
+    case
+    for file in ("linuxcnc_motion.json", "linuxcnc_parameters.json")
+    for case in json.loads((ROOT / "tests/references" / file).read_text())
+]
 
 needs_data = pytest.mark.skipif(not NC.is_dir(), reason="no reference data")
 
@@ -29,15 +33,15 @@ INCH = 25.4e-3
 PLANES = {"XY": (0, 1, 2), "XZ": (2, 0, 1), "YZ": (1, 2, 0)}
 
 REFUSED = {
-    "camotics_heart.ngc": (3, "#<z_safe>=5"),
-    "lcnc_cam-nisley.ngc": (6, "#1000=75.00"),
+    "lcnc_cam-nisley.ngc": (74, "G42"),
     "lcnc_comp.ngc": (12, "G42"),
-    "lcnc_spiral.ngc": (8, "o100repeat[800]"),
+    "lcnc_spiral.ngc": (9, "@-.0025^4.5"),
     "tinyg_alpha_full.gcode": (8, "A10"),
 }
 ACCEPTED = [
     "bcnc_sample.gcode",
     "camotics_cds.gcode",
+    "camotics_heart.ngc",
     "lcnc_3dtest.ngc",
     "lcnc_arcspiral.ngc",
     "lcnc_cds.ngc",

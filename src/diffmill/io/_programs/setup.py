@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Mapping
+from typing import Literal
 
 from ...toolpath import Point
 from .geometry import ToolAxis
@@ -21,6 +22,9 @@ class ProgramSetup:
             need it.
         reference_points: Machine coordinates to which G28 and G30 go [m].
         skips_blocks: Whether lines that begin with a block delete / are left out.
+        tool_radii: Radii of tools [m], by number, for compensation with D or T.
+        dialect: Whose parameters, loops and calls G-code has; None for Fanuc's where
+            the program has words that LinuxCNC does not know, else LinuxCNC's.
         tool_axis: Axis of the tool that points from the shank to the tip, for programs
             of robots, "z" if None; for a path "z" if its i, j, k do, else "-z".
     """
@@ -31,4 +35,6 @@ class ProgramSetup:
     machine_zero: Point | None = None
     reference_points: tuple[Point, Point] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     skips_blocks: bool = False
+    tool_radii: Mapping[int, float] = dataclasses.field(default_factory=dict)
+    dialect: Literal["linuxcnc", "fanuc"] | None = None
     tool_axis: ToolAxis | None = None

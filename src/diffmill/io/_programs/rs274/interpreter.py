@@ -18,6 +18,7 @@ from ..text import split_lines
 from .arcs import ArcError, Point2, centre_from_offset, centre_from_radius
 from .blocks import ALLOWED_WORDS, CANCELLED, Block, sorted_block
 from .cycles import CYCLES, run_cycle
+from .macros import MACRO, MacroReader, is_fanuc
 from .offsets import choose_system, compensate_length, offset_axes, set_data
 from .pace import Pace, find_pace, motion_text, set_feed
 from .state import (
@@ -32,7 +33,7 @@ from .state import (
     new_state,
     require_place,
 )
-from .words import split_words
+from .words import Word, split_words
 
 # Refused codes after which the position and the motion mode are still known.
 _HARMLESS = frozenset([410, 420])
@@ -88,13 +89,15 @@ def parse_gcode(
     state.out.name, faults = name, state.out.faults
     is_wrapped = is_closed = False
     is_first = True
-    for number, row in enumerate(split_lines(text, name), 1):
+    rows = split_lines(text, name)
+    for number, row in enumerate(rows, 1):
         bare = row.strip(" \t\r")
         if bare == "%" and (is_first or is_wrapped):
             is_closed = is_wrapped
             is_wrapped = True
-        elif bare:
-            faults += _run_line(bare, number, state)
+        elif bare and not _run_line(bare, number, state):
+            is_closed = _run_macros(rows, number, state, is_wrapped=is_wrapped)
+            break
         is_first = is_first and not bare
         if is_closed or state.is_ended:
             break
@@ -108,33 +111,75 @@ def parse_gcode(
     return state.out.finish(text)
 
 
-def _run_line(row: str, number: int, state: State) -> list[Fault]:
-    """Read and execute one line; return its faults in the order of its words."""
+def _run_macros(rows: list[str], first: int, state: State, *, is_wrapped: bool) -> bool:
+    """Carry out lines from one on, which has parameters or calls a subprogram.
+
+    Returns:
+        Whether a closing % ends them.
+    """
+    kept: dict[int, str] = {}
+    marks = 0
+    for number, row in enumerate(rows, 1):
+        bare = row.strip(" \t\r")
+        marks += bare == "%"
+        if marks == 2 and is_wrapped:
+            break
+        if bare and not (bare == "%" and is_wrapped):
+            if bare[0] == "/" and number >= first:
+                bare = _undeleted(bare, number, state)
+            kept[number] = bare.lstrip("/")
+    dialect = state.setup.dialect or ("fanuc" if is_fanuc(kept) else "linuxcnc")
+    named = {"fanuc": "Fanuc controls do", "linuxcnc": "LinuxCNC does"}[dialect]
+    sentence = f"are carried out as {named} ([program] dialect in a job)"
+    state.out.note("parameters, loops and calls", sentence, first)
+    MacroReader(state, _run_words, dialect).run(kept, first)
+    return marks == 2
+
+
+def _undeleted(row: str, number: int, state: State) -> str:
+    """A line without its block delete, or nothing where it is left out."""
+    if state.setup.skips_blocks:
+        state.out.note("/", "lines with a block delete are left out", number)
+        return ""
+    state.out.note("/", "lines with a block delete are carried out", number)
+    # Of several switches (/2 to /9), all are set alike.
+    return row[1:].lstrip("0123456789")
+
+
+def _run_line(row: str, number: int, state: State) -> bool:
+    """Read and execute one line of plain words; false if it has others."""
     if row[0] == "/":
-        # Of several switches (/2 to /9), all are set alike.
-        row = row[1:].lstrip("0123456789")
-        if state.setup.skips_blocks:
-            state.out.note("/", "lines with a block delete are left out", number)
-            return []
-        state.out.note("/", "lines with a block delete are carried out", number)
+        row = _undeleted(row, number, state)
     elif row[0] in "oO:" and not state.out.moves:
         row = row.replace(":", "O", 1)
         if _PROGRAM_NUMBER.fullmatch(row):
             state.out.note(row.split("(")[0].strip(), "is a program number", number)
-            return []
-    faults: list[Fault] = []
+            return True
     if "(" in row and _NESTED.search(row):
         sentence = "has brackets in it, and ends where all of them are closed"
         state.out.note("a comment", sentence, number)
+    faults: list[Fault] = []
     words = split_words(row, number, faults)
     if not words and not faults:
-        return faults
+        return True
     block = sorted_block(words, number, faults)
+    if faults and MACRO.search(row):
+        return False
     _execute(block, state, faults)
-    if not faults:
-        return faults
-    compact = "".join(row.split())
-    return sorted(faults, key=lambda fault: compact.find(fault.word))
+    if faults:
+        compact = "".join(row.split())
+        state.out.faults += sorted(faults, key=lambda fault: compact.find(fault.word))
+    return True
+
+
+def _run_words(words: list[Word], number: int, state: State) -> list[Fault]:
+    """Execute the words of a line; return its faults in their order."""
+    faults: list[Fault] = []
+    _execute(sorted_block(words, number, faults), state, faults)
+    texts = [word.text for word in words]
+    known = [fault for fault in faults if fault.word in texts]
+    known.sort(key=lambda fault: texts.index(fault.word))
+    return known + [fault for fault in faults if fault.word not in texts]
 
 
 def _execute(block: Block, state: State, faults: list[Fault]) -> None:

@@ -20,9 +20,6 @@ _BLANKS = str.maketrans("", "", " \t\r")
 _LONGEST_LINE = 10_000
 # What a word that is not understood is shown as: up to the next plausible letter.
 _UNKNOWN = re.compile(r"[A-Z]?[^A-Z(]+|[A-Z]")
-# After one of these the rest of a line is an expression, not words.
-_EXPRESSION = frozenset("#[]<>=@^{}\"'")
-_NAMES = re.compile(r"<[^>]*>|\[[^\]]*\]")
 _UPPER = str.maketrans(string.ascii_lowercase, string.ascii_uppercase)
 _VALUES = frozenset("XYZIJKRFSTPQLHD")
 
@@ -40,12 +37,7 @@ def split_words(text: str, line: int, faults: list[Fault]) -> list[Word]:
 
     Letters may be lower or upper case; blanks mean nothing, even inside a number.
     """
-    if len(text) > _LONGEST_LINE:
-        message = f"the line has {len(text)} characters; {_LONGEST_LINE} are allowed."
-        faults.append(Fault(line, text[:30], message))
-        return []
-    code = split_comments(text, line, faults)[0] if _MARK.search(text) else text
-    compact = code.translate(_BLANKS)
+    compact = _compact(text, line, faults)
     upper = compact.translate(_UPPER)
     words: list[Word] = []
     if _PLAIN.fullmatch(upper):
@@ -58,13 +50,26 @@ def split_words(text: str, line: int, faults: list[Fault]) -> list[Word]:
             position += 1
             continue
         match = _WORD.match(upper, position)
-        behind = upper[match.end() : match.end() + 1] if match else ""
-        if match and behind not in _EXPRESSION and upper[position] != "O":
+        if match and upper[position] != "O":
             position = match.end()
             _take(match, compact, line, words, faults)
             continue
-        position = _report_unknown(compact, upper, position, line, faults, words)
+        position = report_unknown(compact, position, line, faults, words)
     return words
+
+
+def compact_line(text: str, line: int, faults: list[Fault]) -> str:
+    """A line in upper case, without blanks, with a ( for each comment inside it."""
+    return _compact(text, line, faults).translate(_UPPER)
+
+
+def _compact(text: str, line: int, faults: list[Fault]) -> str:
+    if len(text) > _LONGEST_LINE:
+        message = f"the line has {len(text)} characters; {_LONGEST_LINE} are allowed."
+        faults.append(Fault(line, text[:30], message))
+        return ""
+    code = split_comments(text, line, faults)[0] if _MARK.search(text) else text
+    return code.translate(_BLANKS)
 
 
 def _take(
@@ -85,39 +90,32 @@ def _take(
         words.append(Word(letter, number, shown))
 
 
-def _report_unknown(
-    compact: str,
-    upper: str,
-    position: int,
-    line: int,
-    faults: list[Fault],
-    words: list[Word],
+def report_unknown(
+    compact: str, position: int, line: int, faults: list[Fault], words: list[Word]
 ) -> int:
     """Report what is no word at a position; return where to go on."""
-    match = _UNKNOWN.match(upper, position)
+    match = _UNKNOWN.match(compact.translate(_UPPER), position)
     end = match.end() if match else position + 1
-    shown = compact[position:end]
-    letter = upper[position]
-    is_expression = bool(_EXPRESSION & set(shown))
-    if letter == "O" or is_expression:
-        shown, end = compact[position:].split("(")[0], len(compact)
+    letter = compact[position].upper()
+    if letter == "O":
+        end = len(compact)
+    shown = compact[position:end].split("(")[0]
     if letter == "/":
         message = "a block delete / stands at the start of its line only."
     elif letter == "%":
         message = "a % stands alone on the first and on the last line only."
     elif letter == "O":
-        message = "subprograms and O-words are not supported; write their blocks out."
-    elif is_expression:
-        message = "parameters and expressions are not supported; write plain numbers."
+        message = "this is no O-word; known are sub, endsub, call, return, if, elseif, "
+        message += (
+            "else, endif, while, endwhile, do, repeat, endrepeat, break, continue."
+        )
     elif letter in string.ascii_uppercase:
         message = f"{letter} needs a number such as 5, 5., -.5 or +3.25."
     else:
         message = "no word starts like this."
-    is_unsupported = not message.startswith(("a %", f"{letter} needs"))
-    faults.append(Fault(line, shown[:30], message, is_unsupported))
-    # Their values are unknown, but the words of the line keep their meaning.
-    present = _NAMES.sub("", shown.translate(_UPPER)) if letter != "O" else ""
-    words += [Word(c, math.nan, shown[:30]) for c in present if c in _VALUES]
+    faults.append(Fault(line, shown[:30], message, message.startswith("no word")))
+    # Its value is unknown, but the words of the line keep their meaning.
+    words += [Word(letter, math.nan, shown[:30])] * (letter in _VALUES)
     return end
 
 
