@@ -203,12 +203,12 @@ def test_ten_brackets_are_not_too_deep(tmp_path):
          "SUBPECK,1E-300\nGOTO/1,1,1\n"),
     ],
 )  # fmt: skip
-def test_a_program_makes_at_most_two_million_moves(tmp_path, suffix, text, monkeypatch):
+def test_cycles_make_a_bounded_number_of_moves(tmp_path, suffix, text, monkeypatch):
     # Fewer, so that the ones that are made before take no time.
-    monkeypatch.setattr("diffmill.io._programs.move_list.MOST_MOVES", 2000)
+    monkeypatch.setattr("diffmill.io._programs.move_list.MOST_CYCLE_MOVES", 2000)
     file = tmp_path / f"part{suffix}"
     file.write_text(text)
-    assert "makes more than 2000 moves" in refused(lambda: read_program(file))
+    assert "cycles make more than 2000 moves" in refused(lambda: read_program(file))
 
 
 def test_many_short_moves_are_refused_in_the_end(monkeypatch):

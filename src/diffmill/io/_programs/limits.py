@@ -15,6 +15,8 @@ LARGEST_SPEED_RPM = 1e6
 MOST_TURNS = 10_000
 # Two million lines of motion are the longest program that is read.
 MOST_MOVES = 2_000_000
+# A short line may ask for many.
+MOST_CYCLE_MOVES = 500_000
 DEEPEST_NESTING = 10
 # Lines that loops and calls carry out again, calls in each other, values of variables.
 MOST_REPEATED = 250_000

@@ -7,6 +7,7 @@ from ...toolpath import Move, Program, Section
 from .faults import Fault, ProgramError
 from .limits import (
     LONGEST_DURATION,
+    MOST_CYCLE_MOVES,
     MOST_MOVES,
     UNUSUAL_REST,
     UNUSUAL_SPEED,
@@ -66,6 +67,7 @@ class MoveList:
     _all_speeds: dict[float, None] = field(default_factory=dict)
     _notes: dict[tuple[str, str], _Note] = field(default_factory=dict)
     _lost: set[str] = field(default_factory=set)
+    _cycle_moves: float = 0
     # Line of the first motion whose numbers are not known.
     _unknown: int | None = None
 
@@ -97,7 +99,8 @@ class MoveList:
             if self._unknown is None and any(map(math.isnan, numbers)):
                 self._unknown = move.line
         if len(self.moves) >= MOST_MOVES:
-            self.reserve(1, move.line)
+            message = f"the program makes more than {MOST_MOVES} moves."
+            raise ProgramError(self.name, [*self.faults, Fault(move.line, "", message)])
         if self._lost:
             self._lost.difference_update(axes)
         if self.is_approach:
@@ -110,13 +113,14 @@ class MoveList:
         self.moves.append(move)
 
     def reserve(self, count: int | float, line: int) -> None:
-        """Refuse more moves than a program may make, before they are made.
+        """Refuse more moves of canned cycles than a program may make, before they are.
 
         Raises:
             ProgramError: If `count` more are too many.
         """
-        if not len(self.moves) + count <= MOST_MOVES:
-            message = f"the program makes more than {MOST_MOVES} moves."
+        self._cycle_moves += count
+        if not self._cycle_moves <= MOST_CYCLE_MOVES:
+            message = f"canned cycles make more than {MOST_CYCLE_MOVES} moves."
             raise ProgramError(self.name, [*self.faults, Fault(line, "", message)])
 
     def dwell(self, duration: float, line: int, word: str = "") -> None:
