@@ -240,7 +240,7 @@ def test_any_arc_is_recovered(radius, start, sweep, turn, use_radius):
         ("S9999999\nG0 X1", 1, "S9999999", "spindle speed"),
         ("S-1\nG0 X1", 1, "S-1", "spindle speed"),
         ("T1.5\nG0 X1", 1, "T1.5", "whole number"),
-        ("G0 X1\nG41 D1 X2", 2, "G41", "G41 is not supported"),
+        ("G0 X1\nG41 D1 X2", 2, "G41", "radius of the cutter is not known"),
         ("G0 X1\no1 call", 2, "1", "no routine of this name"),
         ("G68 X0 Y0 R45\nG0 X1", 1, "G68", "G68 is not supported"),
         ("G0 X1\nG10 L1 P1 Z2", 2, "G10", "L2 or L20"),

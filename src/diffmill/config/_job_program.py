@@ -40,7 +40,9 @@ class JobProgram(NamedTuple):
         context = FileContext(path.parent, allow_outside, [], [])
         tables = read_tables(raw, context.problems)
         table = tables.program
-        program = None if table is None else read_program(table, context)
+        program = None
+        if table is not None:
+            program = read_program(table, context, tables.cutter)
         if context.problems:
             raise JobError(path, context.problems)
         if table is None or not isinstance(program, Program):

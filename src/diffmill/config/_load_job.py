@@ -161,7 +161,7 @@ def _read_parts(
     problems = context.problems
     program, speed, cutter, holder, stock, robot, start, known = (None,) * 8
     if tables.program is not None:
-        program = read_program(tables.program, context)
+        program = read_program(tables.program, context, tables.cutter)
     if tables.spindle is not None:
         given = tables.spindle.speed
         speed = spindle_speed(given, program, problems, is_override=overrides_speed)

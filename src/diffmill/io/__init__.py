@@ -25,13 +25,13 @@ from ._programs.formats import (
     read_program as read_program,
     write_program as write_program,
 )
-from ._programs.rs274.frame import (
-    program_frame as program_frame,
-)
 from ._programs.rs274.interpreter import (
     parse_gcode as parse_gcode,
 )
-from ._programs.rs274.writer import write_gcode as write_gcode
+from ._programs.rs274.writer import (
+    program_frame as program_frame,
+    write_gcode as write_gcode,
+)
 from ._programs.setup import ProgramSetup as ProgramSetup
 from ._programs.stream import OffsetStream as OffsetStream
 from ._records.load_record import load_record as load_record

@@ -20,6 +20,7 @@ from ...toolpath import (
     TimedProgram,
     TimingLimits,
 )
+from .._schema.cutter import CutterTable
 from .._schema.job import ProgramTable
 from .context import FileContext
 
@@ -50,8 +51,16 @@ _WITHOUT_EFFECT = (
 _LARGEST_FILE = 250_000_000
 
 
-def read_program(table: ProgramTable, context: FileContext) -> Program | Path | None:
-    """Program or recorded path of a job; None after a fault."""
+def read_program(
+    table: ProgramTable, context: FileContext, cutter: CutterTable | None = None
+) -> Program | Path | None:
+    """Program or recorded path of a job; None after a fault.
+
+    Args:
+        table: `[program]`.
+        context: Receives notes and what is wrong.
+        cutter: `[cutter]`, whose radius G41 and G42 take where nothing else says it.
+    """
     suffix = pathlib.PurePath(table.file).suffix.lower()
     if suffix not in PROGRAM_FORMATS:
         context.problems.append(
@@ -63,7 +72,7 @@ def read_program(table: ProgramTable, context: FileContext) -> Program | Path | 
     if path is None:
         return None
     try:
-        program = io.read_program(path, setup=_setup(table))
+        program = io.read_program(path, setup=program_setup(table, cutter))
         if isinstance(program, Path):
             _check_recorded(table, context)
             context.notes.extend(f"[program] {note}" for note in program.notes)
@@ -248,13 +257,18 @@ def _tool_note(program: Program, chosen: Program) -> str:
     return f"[program] tool: {'T' + str(tool) if tool is not None else 'no T'}{others}"
 
 
-def _setup(table: ProgramTable) -> ProgramSetup:
+def program_setup(
+    table: ProgramTable, cutter: CutterTable | None = None
+) -> ProgramSetup:
     """Settings of the control that a program does not state."""
     zero = table.machine_zero
     return ProgramSetup(
         feed=table.feed,
         offsets={name: _point(zero) for name, zero in table.offsets.items()},
         tool_lengths=table.tool_lengths,
+        tool_radii=table.tool_radii,
+        radius=None if cutter is None else cutter.diameter / 2,
+        dialect=table.dialect,
         machine_zero=None if zero is None else _point(zero),
         reference_points=(
             _point(table.reference_point),

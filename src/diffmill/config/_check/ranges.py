@@ -70,6 +70,7 @@ _USUAL: dict[str, tuple[_Range, ...]] = {
     "program.joint_ramp": (_RAMP,),
     "program.offsets": (_PLACE,),
     "program.tool_lengths": (_REACH,),
+    "program.tool_radii": (_REACH,),
     "program.machine_zero": (_PLACE,),
     "program.reference_point": (_PLACE,),
     "program.second_reference_point": (_PLACE,),
@@ -171,7 +172,7 @@ _NEVER_ZERO = (
     "robot.bending_tool.damping_ratio",
 )
 # Whose keys the user names.
-_OF_NAMES = ("program.offsets", "program.tool_lengths")
+_OF_NAMES = ("program.offsets", "program.tool_lengths", "program.tool_radii")
 # Coefficients that push the tool away from what it cuts, or rub.
 _POSITIVE = ("K_rc", "K_te", "K_re", "K_rc11")
 

@@ -18,6 +18,7 @@ from ...settings.fields import (
     Damping,
     Delay,
     Jerk,
+    Length,
     Lengths3,
     PositiveLength,
     PositiveSpeed,
@@ -159,6 +160,16 @@ class ProgramTable(TomlTable):
         default_factory=dict,
         description="tool lengths that G43 H compensates, by number, such as { 1 = "
         '"80 mm" }',
+    )
+    tool_radii: dict[ToolNumber, Length] = Field(
+        default_factory=dict,
+        description="radii of cutters that G41 and G42 compensate, by D, such as { 1 = "
+        '"5 mm" }; of other D that of `[cutter]`',
+    )
+    dialect: Literal["linuxcnc", "fanuc"] | None = Field(
+        default=None,
+        description="whose parameters, loops and calls G-code has; if left out "
+        "Fanuc's where the program has words that LinuxCNC does not know",
     )
     machine_zero: Lengths3 | None = Field(
         default=None,

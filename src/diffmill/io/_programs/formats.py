@@ -14,9 +14,8 @@ from .robots.apt import parse_apt
 from .robots.krl import parse_krl
 from .robots.rapid import parse_rapid
 from .robots.writers import write_apt, write_krl, write_rapid
-from .rs274.frame import ProgramFrame
 from .rs274.interpreter import parse_gcode
-from .rs274.writer import write_moves
+from .rs274.writer import ProgramFrame, write_moves
 from .setup import ProgramSetup
 from .text import read_text
 

@@ -125,6 +125,11 @@ class MoveList:
 
     def dwell(self, duration: float, line: int, word: str = "") -> None:
         """Let the tool stay where it is [s]; before any move there is no such place."""
+        last = self.moves[-1] if self.moves else Move((0, 0, 0), (0, 0, 0))
+        self.moves[-1:] = [self.rested(last, duration, line, word)] * bool(self.moves)
+
+    def rested(self, move: Move, duration: float, line: int, word: str) -> Move:
+        """A move behind which the tool rests longer [s]."""
         if not 0 <= duration <= LONGEST_DURATION and not math.isnan(duration):
             message = f"found a rest of {duration:g} s; allowed are 0 to "
             message += f"{LONGEST_DURATION:g} s."
@@ -135,9 +140,7 @@ class MoveList:
             sentence = "is longer than a minute; it counts in seconds here, and in "
             sentence += "milliseconds on some controllers"
             self.note(f"rest of {duration:g} s", sentence, line)
-        if self.moves:
-            last = self.moves[-1]
-            self.moves[-1] = last._replace(rest=last.rest + duration)
+        return move._replace(rest=move.rest + duration)
 
     def set_speed(self, speed: float) -> None:
         """Set the spindle speed [rad/s]; 0 stops it and sets none."""

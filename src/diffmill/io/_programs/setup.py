@@ -22,7 +22,8 @@ class ProgramSetup:
             need it.
         reference_points: Machine coordinates to which G28 and G30 go [m].
         skips_blocks: Whether lines that begin with a block delete / are left out.
-        tool_radii: Radii of tools [m], by number, for compensation with D or T.
+        tool_radii: Radii of cutters [m] that G41 and G42 compensate, by D.
+        radius: Radius of a D that `tool_radii` leaves out [m], or None.
         dialect: Whose parameters, loops and calls G-code has; None for Fanuc's where
             the program has words that LinuxCNC does not know, else LinuxCNC's.
         tool_axis: Axis of the tool that points from the shank to the tip, for programs
@@ -36,5 +37,6 @@ class ProgramSetup:
     reference_points: tuple[Point, Point] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     skips_blocks: bool = False
     tool_radii: Mapping[int, float] = dataclasses.field(default_factory=dict)
+    radius: float | None = None
     dialect: Literal["linuxcnc", "fanuc"] | None = None
     tool_axis: ToolAxis | None = None

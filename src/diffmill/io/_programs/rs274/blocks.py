@@ -25,7 +25,7 @@ _G_GROUPS = {
     ),
     **dict.fromkeys([170, 180, 190], "plane"),
     **dict.fromkeys([200, 210], "units"),
-    400: "cutter radius",
+    **dict.fromkeys([400, 410, 411, 420, 421], "cutter radius"),
     **dict.fromkeys([430, 431, 432, 490], "tool length"),
     **dict.fromkeys([540, 550, 560, 570, 580, 590, 591, 592, 593], "system"),
     **dict.fromkeys([610, 611, 640], "path control"),
@@ -50,8 +50,6 @@ _M_GROUPS = {
 # Several of them may stand in a line.
 _SHARED = frozenset({"coolant"})
 _WHY_NOT = {
-    410: "program the path of the tool's centre",
-    420: "program the path of the tool's centre",
     **dict.fromkeys([380, 382, 383, 384, 385], "where a probe touches is not known"),
     **dict.fromkeys([330, 331, 740, 840], "threads are not simulated"),
     **dict.fromkeys([650, 660], "write the blocks of the macro out"),
@@ -70,11 +68,12 @@ _OWN_WORDS = {
 }
 ALLOWED_WORDS = (
     "N, G0 to G4, G5.1 Q0, G8, G10 L2 and L20, G13.1, G15, G17 to G21, G28, G28.1, "
-    "G30, G30.1, G40, G40.1, G43 to G43.2, G49, G50, G50.1, G52 to G59.3, G61, G61.1,"
+    "G30, G30.1, G40 to G42.1, G43 to G43.2, G49, G50, G50.1, G52 to G59.3, G61, G61.1,"
     " G64, G67, G69, G73, G80 to G83, G85, G86, G89, G90, G90.1, G91, G91.1, G92 to "
     "G92.3, G93 to G99, G187, X, Y, Z, I, J, K, R, P, Q, L, F, S, T, H, D, E, M0 to "
-    "M9, M19, M30, M48 to M53, M60 to M68, A0, B0, C0, a program number O, block "
-    "delete /, comments ( ) and ;, and a line of % before and after"
+    "M9, M19, M30, M48 to M53, M60 to M68, M98, M99, G65, A0, B0, C0, a program number "
+    "O, O-words, parameters # with expressions [ ], IF, WHILE, GOTO, block delete /, "
+    "comments ( ) and ;, and a line of % before and after"
 )
 
 

@@ -19,7 +19,14 @@ from .arcs import ArcError, Point2, centre_from_offset, centre_from_radius
 from .blocks import ALLOWED_WORDS, CANCELLED, Block, sorted_block
 from .cycles import CYCLES, run_cycle
 from .macros import MACRO, MacroReader, is_fanuc
-from .offsets import choose_system, compensate_length, offset_axes, set_data
+from .offsets import (
+    choose_system,
+    compensate_length,
+    compensate_radius,
+    end_compensation,
+    offset_axes,
+    set_data,
+)
 from .pace import Pace, find_pace, motion_text, set_feed
 from .state import (
     AXES,
@@ -35,10 +42,12 @@ from .state import (
 )
 from .words import Word, split_words
 
-# Refused codes after which the position and the motion mode are still known.
-_HARMLESS = frozenset([410, 420])
+# What the compensation of the cutter's radius does not go with, by modal group.
+_NOT_COMPENSATED = ("plane", "system", "tool length", "once")
 _NORMALS = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 _CENTRE_WORDS = "IJK"
+# The planes across x, y and z.
+_PLANES = (190, 180, 170)
 _PROGRAM_NUMBER = re.compile(r"\s*[oO]\s*\d+\s*(\(.*|;.*)?")
 _NESTED = re.compile(r"^[^;]*\([^);]*\(")
 _NO_MOTION = {
@@ -46,7 +55,6 @@ _NO_MOTION = {
     "spindle": "the cutter is taken to be made for a spindle that turns this way",
     "coolant": "coolant changes no motion",
     "overrides": "overrides are at 100 %",
-    "cutter radius": "there is no compensation of the cutter's radius",
     "path control": "corners are as [program] corner_tolerance says, 0 mm for exact "
     "stops",
     "spindle mode": "the spindle has a constant speed",
@@ -103,6 +111,7 @@ def parse_gcode(
             break
         if len(faults) > SHOWN_FAULTS:
             raise ProgramError(name, faults, ALLOWED_WORDS)
+    end_compensation(state)
     if is_wrapped and not (is_closed or state.is_ended):
         message = "the file ends without the closing % or M2 or M30; it may be cut off."
         faults.append(Fault(0, "", message))
@@ -185,7 +194,7 @@ def _run_words(words: list[Word], number: int, state: State) -> list[Fault]:
 def _execute(block: Block, state: State, faults: list[Fault]) -> None:
     """Carry out one block in the order of the standard."""
     codes = block.g
-    if "refused" in codes and codes["refused"] not in _HARMLESS:
+    if "refused" in codes:
         # What it would have changed is not known, so that its fault has no echo.
         state.motion = -1
         state.position = (math.nan, math.nan, math.nan)
@@ -197,6 +206,8 @@ def _execute(block: Block, state: State, faults: list[Fault]) -> None:
         if state.is_surface_speed:
             state.spindle_rpm = 0.0
             block.used.add("D")
+    if state.compensation is not None:
+        _check_compensated(block, state, faults)
     if block.m or "S" in block.values or "T" in block.values:
         _set_tool(block, state, faults)
         _set_speed(block, state, faults)
@@ -220,12 +231,14 @@ def _set_modes(block: Block, state: State, faults: list[Fault]) -> None:
         if duration is None:
             faults.append(Fault(block.line, text, "a rest needs a P, its seconds."))
         else:
-            state.out.dwell(duration, block.line, text)
+            (state.compensation or state.out).dwell(duration, block.line, text)
     if "plane" in codes:
-        state.plane = {170: 2, 180: 1, 190: 0}[codes["plane"]]
+        state.plane = _PLANES.index(codes["plane"])
         state.is_plane_known = True
     if "units" in codes:
         state.scale = MM_PER_INCH if codes["units"] == 200 else 1.0
+    if "cutter radius" in codes:
+        compensate_radius(block, state, faults)
     compensate_length(block, state, faults)
     choose_system(block, state)
     if "distance" in codes:
@@ -239,8 +252,24 @@ def _set_modes(block: Block, state: State, faults: list[Fault]) -> None:
         block.used.update("PQ")
     if not CANCELLED.isdisjoint(codes):
         _check_cancelling(block, faults)
-    if codes.get("cutter radius") == 400 or "refused" in codes:
+    if "cutter radius" in codes or "refused" in codes:
         block.used.add("D")
+
+
+def _check_compensated(block: Block, state: State, faults: list[Fault]) -> None:
+    """Report codes that cannot stand between G41 or G42 and G40."""
+    codes = block.g
+    groups = [group for group in _NOT_COMPENSATED if codes.get(group, 40) != 40]
+    if codes.get("plane") == _PLANES[state.plane]:
+        groups.remove("plane")
+    if codes.get("motion") in CYCLES:
+        groups.append("motion")
+    for group in groups:
+        message = "it does not go with G41 and G42; needed is a G40 before."
+        faults.append(Fault(block.line, block.texts[group], message))
+    if block.m.get("tool change") is not None:
+        message = "a tool is changed behind G40, without a compensation of the radius."
+        faults.append(Fault(block.line, block.texts["tool change"], message))
 
 
 def _check_cancelling(block: Block, faults: list[Fault]) -> None:
@@ -466,7 +495,7 @@ def _go(block: Block, state: State, end: Point, pace: Pace, axes: str) -> None:
     """Make a straight move; without a pace it is rapid."""
     start, state.position = state.position, end
     is_rapid = state.motion == 0 or block.g.get("once") in (280, 300)
-    state.out.add(
+    state.add(
         Move(
             metres(start),
             metres(end),
@@ -496,7 +525,7 @@ def _cycle(block: Block, state: State, faults: list[Fault]) -> None:
             is_rapid=is_rapid,
             line=block.line,
         )
-        state.out.add(move, axes)
+        state.add(move, axes)
 
     run_cycle(block, state, go, faults)
 
@@ -556,7 +585,7 @@ def _arc(
     centre = _centre(block, state, start, end, sign, faults)
     if centre is None:
         return
-    state.out.add(
+    state.add(
         Move(
             metres(start),
             metres(end),

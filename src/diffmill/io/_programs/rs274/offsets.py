@@ -6,6 +6,7 @@ from ....toolpath import Point
 from ..faults import Fault
 from ..geometry import point_of
 from .blocks import Block
+from .compensation import CutterCompensation
 from .state import (
     AXES,
     State,
@@ -174,3 +175,61 @@ def _length_of(number: int, block: Block, state: State) -> float | None:
         sentence += f", and tool T{state.out.tool} is taken to have this length"
     state.out.note(f"G43 H{number}", sentence, block.line)
     return None
+
+
+def compensate_radius(block: Block, state: State, faults: list[Fault]) -> None:
+    """Apply G40 to G42.1: the tool runs beside the programmed path."""
+    code, text = block.g["cutter radius"], block.texts["cutter radius"]
+    if code == 400:
+        if state.compensation is None:
+            sentence = "there is no compensation of the cutter's radius"
+            state.out.note("G40", sentence, block.line)
+        end_compensation(state)
+        return
+    if state.compensation is not None or state.plane == 0:
+        message = "it is on already; needed is a G40 before."
+        if state.plane == 0:
+            message = "the radius is compensated in the XY plane or the XZ plane."
+        faults.append(Fault(block.line, text, message))
+        return
+    number = block.number("D")
+    radius = None
+    if code in (411, 421) and number is not None:
+        radius = number * state.scale / 2e3
+    elif code in (410, 420):
+        tool = state.out.tool if number is None else round(number)
+        radius = _radius_of(tool, text, block, state)
+    if radius is None:
+        message = (
+            "the radius of the cutter is not known; needed is that of its D (in a "
+        )
+        message += "job: [program] tool_radii), or of the tool."
+        faults.append(Fault(block.line, text, message))
+        return
+    side = 1 if code in (410, 411) else -1
+    side = side if radius >= 0 else -side
+    sentence = "the path beside the programmed one is that of LinuxCNC; other controls "
+    sentence += "enter, leave and go round corners in their own way"
+    state.out.note(f"G{code / 10:g}", sentence, block.line)
+    state.compensation = CutterCompensation(state.out, side, abs(radius), state.plane)
+
+
+def end_compensation(state: State) -> None:
+    """End the compensation of the radius; the next move leads back to the path."""
+    if state.compensation is not None:
+        state.departure = state.compensation.finish()
+        state.compensation = None
+
+
+def _radius_of(tool: int | None, text: str, block: Block, state: State) -> float | None:
+    """Radius of a tool [m]; None if nothing tells it."""
+    setup = state.setup
+    if tool in setup.tool_radii:
+        return setup.tool_radii[tool]
+    if tool == 0:
+        return 0.0
+    if setup.radius is not None:
+        sentence = f"D{tool} has the radius of the job's cutter, "
+        sentence += f"{setup.radius * 1e3:g} mm"
+        state.out.note(text, sentence, block.line)
+    return setup.radius

@@ -3,13 +3,14 @@
 import math
 from dataclasses import dataclass, field
 
-from ....toolpath import Point
+from ....toolpath import Move, Point
 from ..faults import Fault
 from ..geometry import MM_PER_INCH, point_of
 from ..move_list import MoveList
 from ..setup import ProgramSetup
 from .arcs import INCH_TOLERANCE, MM_TOLERANCE, ArcTolerance
 from .blocks import Block
+from .compensation import CutterCompensation
 
 AXES = "XYZ"
 # Codes that go to places of the machine.
@@ -61,6 +62,8 @@ class State:
             place that is not known.
         shift: From program coordinates to `work` [mm]; None if to be found anew.
         length: Compensated tool length [mm]; None if it is not known.
+        compensation: Compensation of the cutter's radius at work.
+        departure: Where the tool is behind G40, beside the programmed position [m].
     """
 
     setup: ProgramSetup
@@ -91,6 +94,17 @@ class State:
     length: float | None = 0.0
     length_word: str = ""
     cycle: Cycle = field(default_factory=Cycle)
+    compensation: CutterCompensation | None = None
+    departure: Point | None = None
+
+    def add(self, move: Move, axes: str) -> None:
+        """Add a programmed move."""
+        if self.departure is not None:
+            if move.centre is not None:
+                message = "the first move behind G40 is straight."
+                self.out.faults.append(Fault(move.line, "", message))
+            move, self.departure = move._replace(start=self.departure), None
+        (self.compensation or self.out).add(move, axes)
 
     @property
     def arc_tolerance(self) -> ArcTolerance:
