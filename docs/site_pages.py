@@ -118,6 +118,7 @@ KINDS = {
     ),
     "dict[StrictStr, StrictStr]": Kind("table of units"),
     "dict[ToolNumber, Tolerance]": Kind("table of lengths of at least 0"),
+    "dict[ToolNumber, Length]": Kind("table of lengths"),
     "list[Angle]": Kind("list of angles above 0"),
     "list[Angles3]": Kind("three angles per joint"),
     "list[Angles4]": Kind("four angles per joint"),
