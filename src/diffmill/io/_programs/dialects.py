@@ -44,7 +44,7 @@ _DIALECTS = (
     ),
     _Dialect(
         "APT",
-        (".apt", ".cls", ".cl", ".cldata"),
+        (".apt", ".cls", ".cl", ".cldata", ".ncl", ".aptsource"),
         _pattern(r"PARTNO\b", r"GOTO\s*/", r"TOOL PATH\s*/", r"UNITS?\s*/\s*(?:MM|IN)"),
     ),
     _Dialect(

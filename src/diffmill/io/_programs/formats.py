@@ -20,7 +20,7 @@ from .setup import ProgramSetup
 from .text import read_text
 
 GCODE = (".ngc", ".nc", ".gcode", ".tap", ".cnc")
-APT = (".apt", ".cls", ".cl", ".cldata")
+APT = (".apt", ".cls", ".cl", ".cldata", ".ncl", ".aptsource")
 RAPID = (".mod", ".prg", ".modx")
 KRL = (".src",)
 PROGRAM_FORMATS = {
