@@ -276,6 +276,7 @@ def program_setup(
         ),
         skips_blocks=table.block_delete,
         tool_axis=table.tool_axis,
+        pass_over=tuple(table.pass_over),
     )
 
 

@@ -148,6 +148,11 @@ class ProgramTable(TomlTable):
         "tip, in programs that are read and written (KRL and RAPID); of a path z if "
         "its i, j, k point so; if left out z, and tip to shank in a path",
     )
+    pass_over: list[StrictStr] = Field(
+        default_factory=list,
+        description="names of routines of other files that a program of a robot calls "
+        'and that move neither arm nor work, such as ["SPINDLE_ON"]; calls are noted',
+    )
     block_delete: StrictBool = Field(
         default=False, description="true: lines that begin with / are left out"
     )

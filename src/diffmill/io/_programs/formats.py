@@ -81,7 +81,8 @@ def _parsed(text: str, path: pathlib.Path, setup: ProgramSetup) -> Program:
         files = [one for one in files if one.name.lower() == exact.name.lower()]
         files = [one for one in files if one.is_file()]
         data = read_text(files[0]) if files else ""
-        return parse_krl(text, data, name=path.name, tool_axis=axis)
+        more = setup.pass_over
+        return parse_krl(text, data, name=path.name, tool_axis=axis, pass_over=more)
     if suffix in RAPID:
         return parse_rapid(text, name=path.name, tool_axis=axis)
     if suffix in APT:

@@ -21,7 +21,7 @@ DEEPEST_NESTING = 10
 # Lines that loops and calls carry out again, calls in each other, values of variables.
 MOST_REPEATED = 250_000
 DEEPEST_CALLS = 100
-MOST_VALUES = 100_000
+MOST_VALUES = 2_000_000
 MOST_DIGITS = 300
 _LONG_NUMBER = re.compile(rf"\d{{{MOST_DIGITS + 1}}}")
 UNUSUAL_SPEED = Path.UNUSUAL_SPEED

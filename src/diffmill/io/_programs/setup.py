@@ -28,6 +28,7 @@ class ProgramSetup:
             the program has words that LinuxCNC does not know, else LinuxCNC's.
         tool_axis: Axis of the tool that points from the shank to the tip, for programs
             of robots, "z" if None; for a path "z" if its i, j, k do, else "-z".
+        pass_over: Routines of robots' programs that move neither arm nor work.
     """
 
     feed: float | None = None
@@ -40,3 +41,4 @@ class ProgramSetup:
     radius: float | None = None
     dialect: Literal["linuxcnc", "fanuc"] | None = None
     tool_axis: ToolAxis | None = None
+    pass_over: tuple[str, ...] = ()

@@ -431,10 +431,10 @@ def _go_round(point: Point, axis: Point, line: int, reader: _Apt) -> None:
         message = f"its radius is {first * 1e3:.6g} mm at the start, "
         reader.refuse(line, "CIRCLE", message + f"{last * 1e3:.6g} mm at the end.")
         return
-    if circle.angle is not None:
+    if (angle := circle.angle) is not None:
         other = move._replace(normal=point_of(-n for n in normal))
         moves = (move, other)
-        move = min(moves, key=lambda one: abs(abs(one.sweep) - circle.angle))
+        move = min(moves, key=lambda one: abs(abs(one.sweep) - angle))
     reader.out.add(move._replace(axis=axis), "")
     reader.position, reader.axis = point, axis
 

@@ -1,21 +1,32 @@
-"""KUKA Robot Language: plain motion from a .src file and the .dat file beside it.
+"""KUKA Robot Language: motion from a .src file and the .dat file beside it.
 
-Read are DEF and END, frames and positions that are declared in either file, PTP, LIN,
-CIRC, their spline forms and SPLINE blocks with SPL, $BASE, $TOOL, $VEL.CP, C_DIS and
-the like, WAIT SEC, and comments. A spline is a cubic one in time through its points.
+Read are routines with parameters, loops and branches on what the program itself knows,
+PTP, LIN, CIRC, their spline forms and SPLINE blocks with SPL, $BASE, $TOOL, $VEL.CP,
+C_DIS and the like, WAIT SEC. A spline is a cubic one in time through its points.
 """
 
+import contextlib
 import dataclasses
 import functools
 import itertools
 import math
 import pathlib
 import re
+from collections.abc import Sequence
 
 import numpy as np
 
 from ....toolpath import Point, Program
-from ..expressions import NUMBER, split_arguments, value_of
+from ..control import Code, Machine
+from ..expressions import (
+    NUMBER,
+    Expression,
+    ExpressionError,
+    Name,
+    Value,
+    Variables,
+    split_arguments,
+)
 from ..faults import SHOWN_FAULTS, ProgramError
 from ..geometry import (
     ToolAxis,
@@ -27,15 +38,11 @@ from ..geometry import (
 )
 from ..limits import LARGEST_NUMBER, bounded_number, fault_of_statement
 from ..text import split_lines
-from .krl_frames import KrlFrames, numbered_base
+from .krl_frames import KrlFrames, is_known, numbered_base
+from .krl_values import KrlValues
 from .reader import ExternalAxes, Reader
 
 _COMPONENT = re.compile(rf"\s*([A-Z]\d?)\s+({NUMBER})\s*", re.IGNORECASE)
-_DECLARED = re.compile(
-    r"(?:GLOBAL\s+)?(?:DECL\s+)?(?:GLOBAL\s+)?(?:E6POS|POS|FRAME|E6AXIS|AXIS)?\s*"
-    r"([A-Z$_]\w*(?:\[\d+\])?)\s*=\s*(\{.*\})",
-    re.IGNORECASE,
-)
 # Speed of the tip, alone or with the speeds at which the tool turns.
 _VELOCITY = re.compile(r"\$VEL\s*(?:\.CP\s*)?=\s*(.+)", re.IGNORECASE)
 _VELOCITIES = re.compile(
@@ -45,11 +52,6 @@ _CP_OF_DATA = re.compile(r"SVEL_CP\s*\((.*)\)", re.IGNORECASE)
 _BAS = re.compile(r"BAS\s*\(\s*#(\w+)\s*(?:,\s*(.*?)\s*)?\)", re.IGNORECASE)
 _FRAME_DATA = re.compile(
     r"(?:GLOBAL\s+)?(?:DECL\s+)?(?:GLOBAL\s+)?FDAT\s+(\w+)\s*=\s*(\{.*\})",
-    re.IGNORECASE,
-)
-_SCALAR = re.compile(
-    r"(?:(?:GLOBAL|DECL|REAL|INT|CONST)\s+)*([A-Z_]\w*(?:\[\d+\])?)(?:\.([XYZABC]))?"
-    r"\s*=\s*([^{}]+)",
     re.IGNORECASE,
 )
 # Data of inline forms: how the tool turns along a line is all of them that counts.
@@ -73,22 +75,38 @@ _APPROXIMATION = re.compile(r"\s+C_(?:DIS|VEL|ORI|PTP|SPL)\b.*$", re.IGNORECASE)
 _WITH = re.compile(r"(?:^|\s)WITH\s+", re.IGNORECASE)
 _ASSIGNED = re.compile(r"\$(\w+(?:\.\w+)?)\s*=\s*(.+)", re.IGNORECASE)
 # Status and turn say which way the joints reach a place.
-_BITS = re.compile(r"\s*[ST]\s+'[BH][0-9A-F]+'\s*", re.IGNORECASE)
+_BITS = re.compile(r"\s*([ST])\s+'([BH])([0-9A-F]+)'\s*", re.IGNORECASE)
 _TIME = re.compile(
     rf"TIME_BLOCK\s+(START|PART\s*=\s*({NUMBER})|END\s*=\s*({NUMBER}))",
     re.IGNORECASE,
 )
-_WAIT = re.compile(rf"WAIT\s+SEC\s+({NUMBER})", re.IGNORECASE)
+_WAIT = re.compile(r"WAIT\s+SEC\s+(.+)", re.IGNORECASE)
+_CALL = re.compile(r"([A-Z_]\w*)\s*(?:\((.*)\))?", re.IGNORECASE)
+_ROUTINE = re.compile(
+    r"(?:GLOBAL\s+)?DEF(?:FCT\s+[A-Z]\w*(?:\[\d*\])?)?\s+([A-Z_]\w*)\s*\((.*)\)",
+    re.IGNORECASE,
+)
+_FOR = re.compile(r"FOR\s+(.+?)=(.+?)\s+TO\s+(.+?)(?:\s+STEP\s+(.+))?", re.IGNORECASE)
+_CONDITION = re.compile(
+    r"(IF|WHILE|UNTIL|SWITCH|CASE|GOTO|RETURN)(?:\s+|(?=\())(.+?)(?:\s*\bTHEN)?",
+    re.IGNORECASE,
+)
+# Where a routine can put a value back.
+_PLACE = re.compile(r"[A-Z_]\w*(?:\s*[\[.][^()]*)?", re.IGNORECASE)
+_ENDS = {"ENDIF": "if", "ENDWHILE": "while", "ENDFOR": "for", "ENDLOOP": "do"}
+_LABEL = re.compile(r"([A-Z_]\w*)\s*:", re.IGNORECASE)
 # What cannot change tool, place or arm; whatever is not among it is refused.
 _QUIET_DATA = (
     r"ACC|APO|VEL|ADVANCE|VEL_AXIS|ACC_AXIS|VEL_EXTAX|ACC_EXTAX|BWDSTART|H_POS|LOAD"
     r"|JERK|GEAR_JERK|OUT|ANOUT|FLAG|CYCFLAG|TIMER|TIMER_STOP"
 )
 _QUIET = re.compile(
-    r"&.*|DEFDAT\b.*|ENDDAT|EXT\b.*|INI|DECL\b.*|(?:GLOBAL\s+)?INTERRUPT\b.*"
+    r"&.*|DEFDAT\b.*|ENDDAT|(?:EXT|EXTFCT|ENUM|SIGNAL|IMPORT)\b.*|INI|DECL\b.*"
+    r"|(?:GLOBAL\s+)?INTERRUPT\b.*"
     r"|BAS\s*\(\s*#(?:INITMOV|ACC_CP|ACC_PTP|VEL_PTP|PTP_DAT|PTP_PARAMS|CP_DAT|FRAMES)"
     rf"\b.*\)|\$(?:{_QUIET_DATA})\b.*|PULSE\s*\(.*\)"
-    r"|TRIGGER\b.*\bDO\s+\$(?:OUT|ANOUT)\b.*|CONTINUE|SET_CD_PARAMS\s*\(.*\)",
+    r"|TRIGGER\b.*\bDO\s+\$(?:OUT|ANOUT)\b.*|CONTINUE|SET_CD_PARAMS\s*\(.*\)"
+    r"|WAIT\s+FOR\b.*|ANOUT\s+(?:ON|OFF)\b.*|WAIT\s*\(.*\)",
     re.IGNORECASE,
 )
 _QUIET_WITH = re.compile(
@@ -109,10 +127,22 @@ _SPLINE_TOLERANCE = 0.1e-6
 class _Krl(Reader):
     """State of the reader of KRL."""
 
-    def __init__(self, tool_axis: ToolAxis) -> None:
+    def __init__(
+        self, name: str, tool_axis: ToolAxis, pass_over: Sequence[str]
+    ) -> None:
         super().__init__(tool_axis=tool_axis)
-        self.frames: dict[str, dict[str, float]] = {}
-        self.scalars: dict[str, float] = {}
+        self.out.name = name
+        self.pass_over = frozenset(one.upper() for one in pass_over)
+        self.known = KrlValues(self._missing, self._result)
+        self.code = Code()
+        self.machine = Machine(self.code, self.known.variables, name, self.faults)
+        # Of the SWITCH blocks that are open: what each compares, and its cases.
+        self.switches: list[list[str]] = []
+        self.labels: dict[str, int] = {}
+        self.is_running = False
+        self.routine = ""
+        # Names of the parameters of each routine that go back to its call.
+        self.returned: dict[str, tuple[str, ...]] = {}
         # An upright tool, until the program states an orientation.
         upright = controller_matrix(self.axis, None, tool_axis)
         self.upright = dict(zip("ABC", abc_of_rotation(upright), strict=True))
@@ -128,7 +158,40 @@ class _Krl(Reader):
         self.outer_feed: float | None = None
         self.outer_frames = self.base_and_tool.chosen
         self.outer_turns = dict(self.turns)
-        self.is_ended = False
+
+    def _missing(self, name: Name) -> Value:
+        """Value of a variable of the controller."""
+        chosen = self.base_and_tool.chosen
+        tool = None if chosen.tool is None else chosen.tool.frame
+        frame = {"$BASE": chosen.base, "$TOOL": tool}.get(str(name))
+        if name == "$POS_ACT" and self.is_placed:
+            return {**self.values, **self.external}
+        if name == "$VEL" and self.feed is not None:
+            return {"CP": self.feed}
+        if frame is not None and is_known(frame):
+            return dict(frame)
+        raise ExpressionError(str(name), "the program does not state its value.")
+
+    def _result(self, name: str, arguments: list[Expression]) -> Expression:
+        """Value that a function gives back."""
+
+        def value(variables: Variables) -> Value:
+            routine = self.code.routines.get(name)
+            if routine is None:
+                raise ExpressionError(name, "the program has no such function.")
+            values = [argument(variables) for argument in arguments]
+            own: dict[Name, Value] = dict(zip(routine.parameters, values, strict=False))
+            return self.machine.result_of(name, own)
+
+        return value
+
+    def number(self, text: str) -> float:
+        """Value of a number or of an expression; NaN if it has none, or too large."""
+        try:
+            value = float(text)
+        except ValueError:
+            return self.known.number(text)
+        return value if abs(value) <= LARGEST_NUMBER else math.nan
 
 
 class _Knot:
@@ -146,6 +209,7 @@ def parse_krl(
     *,
     name: str = "program.src",
     tool_axis: ToolAxis = "z",
+    pass_over: Sequence[str] = (),
 ) -> Program:
     """Return the moves of a KRL program.
 
@@ -154,33 +218,33 @@ def parse_krl(
         data: The .dat file beside it.
         name: Name for messages.
         tool_axis: Axis of the controller's tool that points from the shank to the tip.
+        pass_over: Names of routines of other files that move nothing.
 
     Raises:
         ProgramError: If anything but plain motion is found; up to 20 faults.
     """
-    reader = _Krl(tool_axis)
-    reader.out.name = name
+    reader = _Krl(name, tool_axis, pass_over)
     for number, row in enumerate(split_lines(data, name), 1):
         bare = _bare(row)
-        # Other data of inline forms hold names and are of no motion.
         if message := fault_of_statement(bare):
             reader.refuse(number, bare, message)
-        elif match := _FRAME_DATA.fullmatch(bare):
-            reader.base_and_tool.declare(match[1], match[2])
-        elif match := _LINE_DATA.fullmatch(bare):
-            reader.line_data[match[1].upper()] = match[2]
-        elif match := _DECLARED.fullmatch(bare):
-            reader.frames[match[1].upper()] = _components(match[2], number, reader)
-        elif match := _SCALAR.fullmatch(bare):
-            _set_scalar(match, number, reader)
+        elif not _keep_data(bare, number, reader):
+            _assign(bare, number, reader)
     if reader.faults:
         raise ProgramError(pathlib.PurePath(name).stem + ".dat", reader.faults)
-    for number, row in enumerate(split_lines(text, name), 1):
-        bare = _bare(row)
-        if bare and not reader.is_ended:
-            _statement(bare, number, reader)
-        if len(reader.faults) > SHOWN_FAULTS:
-            break
+    rows = split_lines(text, name)
+    for number, row in enumerate(rows, 1):
+        if bare := _bare(row):
+            _compile(bare, number, reader)
+    code = reader.code
+    if reader.routine:
+        code.end_routine(len(rows))
+    if not code.faults:
+        code.finish()
+    reader.faults.extend(code.faults)
+    if not reader.faults:
+        reader.is_running = True
+        reader.machine.run(next(iter(code.routines), None))
     frames = reader.base_and_tool
     reader.note_upright_axis()
     program = reader.out.finish(text)
@@ -198,6 +262,122 @@ def parse_krl(
     )
 
 
+def _compile(row: str, line: int, reader: _Krl) -> None:
+    """Append a line to the code."""
+    code, known = reader.code, reader.known
+    if _MOTION.match(row):
+        code.plain(line, lambda machine: _carry_out(row, line, reader))
+        return
+    word = re.split(r"[\s(]", row, maxsplit=1)[0].upper()
+    match = _CONDITION.fullmatch(row)
+    value = known.expression(match[2]) if match else None
+    if routine := _ROUTINE.fullmatch(row):
+        if reader.routine:
+            code.end_routine(line)
+        names = [part.split(":") for part in routine[2].upper().split(",") if part]
+        names = [[one.split("[")[0].strip() for one in part] for part in names]
+        name = routine[1].upper()
+        reader.returned[name] = tuple(one[0] for one in names if one[1:] != ["IN"])
+        reader.routine = name
+        code.begin_routine(line, name, tuple(one[0] for one in names))
+    elif word in ("END", "ENDFCT"):
+        if reader.routine:
+            code.end_routine(line)
+        reader.routine = ""
+    elif word == "RETURN":
+        code.give_back(line, value)
+    elif match and word in ("IF", "WHILE") and value is not None:
+        (code.begin_if if word == "IF" else code.begin_loop)(line, value)
+    elif loop := _FOR.fullmatch(row):
+        try:
+            counter = known.place(loop[1])
+        except ExpressionError as error:
+            reader.refuse(line, row, str(error))
+            return
+        first, last, step = (
+            known.expression(one) if one else None for one in loop.groups()[1:]
+        )
+        assert first is not None and last is not None
+        code.begin_for(line, counter, first, last, step)
+    elif word in ("REPEAT", "LOOP"):
+        code.begin_loop(line, kind="repeat" if word == "REPEAT" else "do")
+    elif match and word == "UNTIL":
+        code.end(line, ("repeat",), again=known.expression(f"NOT ({match[2]})"))
+    elif word == "ELSE":
+        code.otherwise(line)
+    elif word in _ENDS:
+        code.end(line, (_ENDS[word],))
+    elif word == "EXIT":
+        code.leave(line)
+    elif match and word == "SWITCH":
+        reader.switches.append([match[2]])
+    elif word in ("DEFAULT", "CASE") and reader.switches:
+        _compile_case(match[2] if match else "", line, reader)
+    elif word == "ENDSWITCH" and reader.switches:
+        if len(reader.switches.pop()) > 1:
+            code.end(line, ("if",))
+    elif match and word == "GOTO":
+        number = reader.labels.setdefault(match[2].upper(), len(reader.labels))
+        code.jump(line, lambda variables: number)
+    elif label := _LABEL.fullmatch(row):
+        code.label(reader.labels.setdefault(label[1].upper(), len(reader.labels)))
+    else:
+        code.plain(line, lambda machine: _carry_out(row, line, reader))
+
+
+def _compile_case(values: str, line: int, reader: _Krl) -> None:
+    """Append a case of a SWITCH, or its DEFAULT."""
+    switch = reader.switches[-1]
+    tests = [f"(({switch[0]}) == ({one}))" for one in split_arguments(values) if one]
+    condition = reader.known.expression(" OR ".join(tests) or "TRUE")
+    if len(switch) == 1:
+        reader.code.begin_if(line, condition)
+    else:
+        reader.code.otherwise(line, condition)
+    switch.append(values)
+
+
+def _carry_out(row: str, line: int, reader: _Krl) -> None:
+    """Carry out a line; one that comes again has told its faults."""
+    count = len(reader.faults)
+    _statement(row, line, reader)
+    if len(reader.faults) == count:
+        return
+    if reader.faults[count] in reader.faults[:count]:
+        del reader.faults[count:]
+    if len(reader.faults) > SHOWN_FAULTS:
+        reader.machine.stop()
+
+
+def _keep_data(row: str, line: int, reader: _Krl) -> bool:
+    """Keep what a line declares; False if it declares nothing."""
+    if match := _FRAME_DATA.fullmatch(row):
+        reader.base_and_tool.declare(match[1], match[2])
+        return True
+    if match := _LINE_DATA.fullmatch(row):
+        reader.line_data[match[1].upper()] = match[2]
+        return True
+    is_shared = not reader.is_running or row.upper().startswith("GLOBAL")
+    try:
+        return reader.known.declare(
+            row,
+            lambda text: _components(text, line, reader),
+            is_shared=is_shared,
+        )
+    except ExpressionError as error:
+        reader.refuse(line, error.word or row, str(error))
+        return True
+
+
+def _assign(row: str, line: int, reader: _Krl) -> bool:
+    """Carry out an assignment; False if a line is none."""
+    try:
+        return reader.known.assign(row)
+    except ExpressionError as error:
+        reader.refuse(line, row, str(error))
+        return True
+
+
 def _bare(row: str) -> str:
     """Return a line without its comment, with single blanks.
 
@@ -212,7 +392,10 @@ def _components(text: str, line: int, reader: Reader) -> dict[str, float]:
     inside = text.strip()[1:-1]
     inside = inside.split(":", 1)[1] if ":" in inside else inside
     for part in inside.split(","):
-        if _BITS.fullmatch(part):
+        if bits := _BITS.fullmatch(part):
+            base = 2 if bits[2] in "Bb" else 16
+            with contextlib.suppress(ValueError):
+                components[bits[1].upper()] = int(bits[3], base)
             continue
         match = _COMPONENT.fullmatch(part)
         if match is None:
@@ -231,11 +414,8 @@ def _statement(row: str, line: int, reader: _Krl) -> None:
     word = row.split()[0].split("(")[0].upper()
     if message := fault_of_statement(row):
         reader.refuse(line, row, message)
-    elif word in ("DEF", "GLOBAL") and "DEF" in row.upper():
-        if reader.out.moves:
-            reader.refuse(line, row, "one DEF per file is read; write calls out.")
-    elif word == "END":
-        reader.is_ended = True
+    elif match := _MOTION.fullmatch(row):
+        _motion(match[1].upper(), match[3], line, reader, is_relative=bool(match[2]))
     elif match := _VELOCITY.fullmatch(row):
         _set_speed(match[1], row, line, reader)
     elif (match := _ASSIGNED.fullmatch(row)) and match[1].upper() in _FRAMES:
@@ -250,29 +430,68 @@ def _statement(row: str, line: int, reader: _Krl) -> None:
         _set_frame("FDAT_ACT", match[1], line, reader)
     elif (match := _BAS.fullmatch(row)) and match[1].upper() in _CHOSEN_BY_BAS:
         _basic(match[1].upper(), match[2] or "", row, line, reader)
-    elif match := _FRAME_DATA.fullmatch(row):
-        reader.base_and_tool.declare(match[1], match[2])
-    elif match := _LINE_DATA.fullmatch(row):
-        reader.line_data[match[1].upper()] = match[2]
-    elif (match := _DECLARED.fullmatch(row)) and not match[1].startswith("$"):
-        reader.frames[match[1].upper()] = _components(match[2], line, reader)
     elif word in ("SPLINE", "ENDSPLINE"):
         _spline(word, row, line, reader)
     elif match := _TIME.fullmatch(row):
         _time_block(match, line, reader)
     elif match := _WAIT.fullmatch(row):
-        reader.out.dwell(float(match[1]), line, row)
-    elif match := _MOTION.fullmatch(row):
-        _motion(match[1].upper(), match[3], line, reader, is_relative=bool(match[2]))
-    elif (match := _SCALAR.fullmatch(row)) and _set_scalar(match, line, reader):
+        _rest(match[1], row, line, reader)
+    elif _keep_data(row, line, reader) or _assign(row, line, reader):
         pass
     elif word == "HALT":
         reader.out.note("HALT", "waits for the operator, which takes no time", line)
     elif _QUIET.fullmatch(row):
         if not word.startswith(("&", "DEF", "END", "EXT", "INI", "DECL")):
             reader.out.note(re.split(r"[\s=(\[]", row)[0], "changes no path", line)
-    else:
-        reader.refuse(line, row, "is no plain motion and is not supported.")
+    elif not ((match := _CALL.fullmatch(row)) and _call(match, line, reader)):
+        message = "is no plain motion and is not supported"
+        if match is not None:
+            name = match[1].upper()
+            message += f'; [program] pass_over = ["{name}"] leaves it out if it moves '
+            message += "neither arm nor work"
+        reader.refuse(line, row, f"{message}.")
+
+
+def _call(match: re.Match[str], line: int, reader: _Krl) -> bool:
+    """Call a routine, or pass over what a job names; False if it is unknown."""
+    name, machine = match[1].upper(), reader.machine
+    routine = reader.code.routines.get(name)
+    if routine is None:
+        if name in reader.pass_over:
+            sentence = "is passed over, as [program] pass_over says"
+            reader.out.note(name, sentence, line)
+        return name in reader.pass_over
+    texts = [one for one in split_arguments(match[2] or "")]
+    own: dict[Name, Value] = dict.fromkeys(routine.parameters)
+    back: dict[str, str] = {}
+    for parameter, text in zip(routine.parameters, texts, strict=False):
+        if not text:
+            continue
+        try:
+            own[parameter] = reader.known.value(text)
+        except ExpressionError as error:
+            # What a routine gives back needs no value before.
+            if parameter not in reader.returned[name]:
+                reader.refuse(line, text, str(error))
+        if parameter in reader.returned[name] and _PLACE.fullmatch(text):
+            back[text] = parameter
+
+    def done(values: dict[Name, Value]) -> None:
+        for text, parameter in back.items():
+            if values.get(parameter) is not None:
+                reader.known.put(text, values[parameter])
+
+    machine.call(name, own, done)
+    return True
+
+
+def _rest(value: str, row: str, line: int, reader: _Krl) -> None:
+    """Carry out WAIT SEC."""
+    duration = reader.number(value)
+    if math.isnan(duration) and not re.fullmatch(NUMBER, value):
+        reader.refuse(line, row, "needed is a number of seconds.")
+        return
+    reader.out.dwell(float(value) if math.isnan(duration) else duration, line, row)
 
 
 def _set_speed(value: str, row: str, line: int, reader: _Krl) -> None:
@@ -282,7 +501,7 @@ def _set_speed(value: str, row: str, line: int, reader: _Krl) -> None:
         value = match[1]
     elif match := _CP_OF_DATA.fullmatch(value):
         value = split_arguments(match[1])[0]
-    reader.set_feed(value_of(value, reader.scalars, truncates=True), row, line)
+    reader.set_feed(reader.number(value), row, line)
 
 
 def _set_turn(name: str, value: str, line: int, reader: _Krl) -> None:
@@ -308,21 +527,6 @@ def _set_turn(name: str, value: str, line: int, reader: _Krl) -> None:
     reader.turns[name] = word
 
 
-def _set_scalar(match: re.Match[str], line: int, reader: _Krl) -> bool:
-    """Keep a number, or a component of a declared position, if it is one."""
-    name, component = match[1].upper(), match[2]
-    value = value_of(match[3], reader.scalars, truncates=True)
-    if math.isnan(value):
-        return False
-    if component is None:
-        reader.scalars[name] = value
-    elif name in reader.frames:
-        reader.frames[name] = {**reader.frames[name], component.upper(): value}
-    else:
-        reader.refuse(line, match[0], "no position of this name is declared.")
-    return True
-
-
 def _set_frame(kind: str, value: str, line: int, reader: _Krl) -> None:
     """Choose base, tool, or both by the data of an inline form."""
     frames, value = reader.base_and_tool, value.strip()
@@ -333,8 +537,15 @@ def _set_frame(kind: str, value: str, line: int, reader: _Krl) -> None:
     elif kind == "TOOL" and frames.is_undeclared(value):
         reader.out.note(value[:40], "is not declared, so the tool stays as it is", line)
     elif kind == "TOOL":
-        written = _components(value, line, reader) if value.startswith("{") else None
-        frames.choose_tool(value, reader.frames, written)
+        is_name = re.fullmatch(
+            r"[$\w\s]+|TOOL_DATA\s*\[\s*\d+\s*\]", value, re.IGNORECASE
+        )
+        written = (
+            None
+            if is_name and not value.startswith("{")
+            else _stated(value, line, reader)
+        )
+        frames.choose_tool(value, reader.known, written)
     elif kind == "IPO_MODE":
         is_external = value.upper() == "#TCP" or (data is not None and data.is_external)
         frames.choose_external(is_external)
@@ -342,16 +553,21 @@ def _set_frame(kind: str, value: str, line: int, reader: _Krl) -> None:
         message = f"{value[:40]} is not declared, so tool and base stay as they are"
         reader.out.note("FDAT_ACT", message, line)
     elif kind == "FDAT_ACT" and data is not None:
-        frames.choose_data(data, reader.frames, line)
+        frames.choose_data(data, reader.known, line)
     elif data is not None and data.base is not None:
-        frames.choose_base(numbered_base(data.base, reader.frames), line)
-    elif value.startswith("{"):
-        frames.choose_base(_components(value, line, reader), line)
-    elif value.upper() == "$NULLFRAME":
-        frames.choose_base(numbered_base(0, reader.frames), line)
+        frames.choose_base(numbered_base(data.base, reader.known), line)
     else:
         name = "".join(value.upper().split())
-        frames.choose_base(reader.frames.get(name, {name: 0.0}), line)
+        frame = _stated(value, line, reader) if value.startswith("{") else None
+        frame = reader.known.frame(value) if frame is None else frame
+        frames.choose_base({name: 0.0} if frame is None else frame, line)
+
+
+def _stated(text: str, line: int, reader: _Krl) -> dict[str, float] | None:
+    """Components of a place that is written out, in numbers or as an expression."""
+    if re.fullmatch(r"\{[^{}]*\}", text):
+        return _components(text, line, reader)
+    return reader.known.frame(text)
 
 
 def _basic(kind: str, value: str, row: str, line: int, reader: _Krl) -> None:
@@ -359,15 +575,15 @@ def _basic(kind: str, value: str, row: str, line: int, reader: _Krl) -> None:
     if kind in ("VEL_CP", "CP_PARAMS"):
         _set_speed(value, row, line, reader)
         return
-    number = value_of(value, reader.scalars)
+    number = reader.number(value)
     if not (number >= 0 and number == int(number)):
         reader.refuse(line, row, "needed is the number of a base or a tool.")
     elif kind == "BASE":
-        base = numbered_base(int(number), reader.frames)
+        base = numbered_base(int(number), reader.known)
         reader.base_and_tool.choose_base(base, line)
     else:
         name = f"TOOL_DATA[{number:.0f}]"
-        reader.base_and_tool.choose_tool(name, reader.frames)
+        reader.base_and_tool.choose_tool(name, reader.known)
 
 
 def _set_with(text: str, line: int, reader: _Krl) -> None:
@@ -387,14 +603,14 @@ def _set_with(text: str, line: int, reader: _Krl) -> None:
 def _pose(text: str, line: int, reader: _Krl) -> dict[str, float] | None:
     """Return the components of a position that is written out or declared."""
     text = text.strip()
-    if text.startswith("{"):
+    if text.startswith("{") and text.find("}") == len(text) - 1:
         return _components(text, line, reader)
-    pose = reader.frames.get(text.upper())
-    if pose is None and _HOME.fullmatch(text):
+    pose = reader.known.frame(text)
+    if not pose and _HOME.fullmatch(text):
         return dict.fromkeys(_JOINTS, 0.0)
-    if pose is None:
+    if not pose:
         reader.refuse(line, text, "no position of this name is declared as numbers.")
-    return pose
+    return pose or None
 
 
 def _motion(
@@ -404,8 +620,9 @@ def _motion(
     along = _RELATIVE_TO.search(words)
     words, *extra = _WITH.split(_RELATIVE_TO.sub("", words), maxsplit=1)
     words = _APPROXIMATION.sub("", words).strip()
-    parts = re.findall(r"\{[^{}]*\}|[^,{}]+|[{}]", words)
-    parts = [part.strip() for part in parts if part.strip()]
+    parts = [words]
+    if words.find("}") != len(words) - 1:
+        parts = [part for part in split_arguments(words) if part]
     if len(parts) == 1 and _IN_PLACE.fullmatch(parts[0]):
         reader.out.note(parts[0], "stays where the arm is", line)
         return

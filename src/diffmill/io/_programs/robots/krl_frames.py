@@ -1,7 +1,6 @@
 """Base and tool of a KRL program: which are in force, and which a motion has used."""
 
 import re
-from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -9,6 +8,7 @@ from jaxtyping import Float
 
 from ....toolpath import Point
 from ..geometry import rotation_of_abc, rpy_of_rotation, tool_rotation
+from .krl_values import KrlValues
 from .reader import Reader
 
 _NUMBERED = re.compile(r"TOOL_DATA\s*\[\s*(\d+)\s*\]", re.IGNORECASE)
@@ -116,13 +116,13 @@ class KrlFrames:
         self.chosen = self.chosen._replace(base=frame or base, line=line)
 
     def choose_tool(
-        self, value: str, frames: Mapping[str, Frame], frame: Frame | None = None
+        self, value: str, frames: KrlValues, frame: Frame | None = None
     ) -> None:
         """Let a tool hold: by number, by FDAT data, by a name, or written out.
 
         Args:
             value: What the program says.
-            frames: Declared frames by name.
+            frames: The variables of the program.
             frame: Components of a tool that is written out.
         """
         name = "".join(value.upper().split())
@@ -131,7 +131,7 @@ class KrlFrames:
         elif (data := self.named(value)) is not None and data.tool is not None:
             tool = _numbered_tool(data.tool, frames)
         else:
-            known = _NULL if name == "$NULLFRAME" else frames.get(name)
+            known = _NULL if name == "$NULLFRAME" else frames.frame(name)
             tool = KrlTool(name, None, frame if frame is not None else known)
         self.chosen = self.chosen._replace(tool=tool)
 
@@ -151,9 +151,7 @@ class KrlFrames:
         named = _OF_DATA.fullmatch(value)
         return self._data.get((named[1] if named else value).upper())
 
-    def choose_data(
-        self, data: FrameData, frames: Mapping[str, Frame], line: int
-    ) -> None:
+    def choose_data(self, data: FrameData, frames: KrlValues, line: int) -> None:
         """Let tool and base of FDAT data hold."""
         if data.base is not None:
             self.choose_base(numbered_base(data.base, frames), line)
@@ -168,7 +166,7 @@ class KrlFrames:
             message = "a tool that stands while the work moves is not supported."
             reader.refuse(line, "IPO_FRAME #TCP", message)
         base = self.chosen.base
-        if self._used is None and base is not None and not _is_known(base):
+        if self._used is None and base is not None and not is_known(base):
             reader.out.note(next(iter(base)), _UNKNOWN, line)
         used = self.chosen if self._used is None else self._used
         if used.base != self.chosen.base:
@@ -217,7 +215,7 @@ class KrlFrames:
         None if the program does not state them.
         """
         base = None if self._used is None else self._used.base
-        if base is None or not _is_known(base):
+        if base is None or not is_known(base):
             return None
         position, R = _pose(base)
         return position, rpy_of_rotation(R)
@@ -231,13 +229,13 @@ class KrlFrames:
         """
         keys = [key for key, own in self._numbers.items() if own == number]
         frame = self._tools[keys[0]].frame if keys else None
-        if frame is None or not _is_known(frame):
+        if frame is None or not is_known(frame):
             return None
         position, R = _pose(frame)
         return position, rpy_of_rotation(tool_rotation(R, reader.tool_axis))
 
 
-def _is_known(frame: Frame) -> bool:
+def is_known(frame: Frame) -> bool:
     """True if a frame has numbers, and not only a name."""
     return set(frame) <= set("XYZABC")
 
@@ -248,15 +246,15 @@ def _pose(frame: Frame) -> tuple[Point, Float[np.ndarray, "3 3"]]:
     return (1e-3 * x, 1e-3 * y, 1e-3 * z), rotation_of_abc(a, b, c)
 
 
-def _numbered_tool(number: int, frames: Mapping[str, Frame]) -> KrlTool:
+def _numbered_tool(number: int, frames: KrlValues) -> KrlTool:
     """Tool of a number: as declared, else known by its name."""
     name = f"TOOL_DATA[{number}]"
-    return KrlTool(name, number, frames.get(name, None if number else _NULL))
+    return KrlTool(name, number, frames.frame(name) or (None if number else _NULL))
 
 
-def numbered_base(number: int, frames: Mapping[str, Frame]) -> Frame:
+def numbered_base(number: int, frames: KrlValues) -> Frame:
     """Return the base of a number: as declared, else by its name."""
     if not number:
         return _NULL
     name = f"BASE_DATA[{number}]"
-    return frames.get(name, {name: 0.0})
+    return frames.frame(name) or {name: 0.0}

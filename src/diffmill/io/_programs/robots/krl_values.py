@@ -1,0 +1,394 @@
+"""Values of KRL: expressions, declared variables, arrays and structures, frames."""
+
+import math
+import operator
+import re
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from ..expressions import (
+    Expression,
+    ExpressionError,
+    Grammar,
+    Name,
+    Parser,
+    Value,
+    Variable,
+    Variables,
+    evaluated,
+    split_arguments,
+)
+from ..geometry import abc_of_rotation, rotation_of_abc
+from ..limits import LARGEST_NUMBER, MOST_VALUES
+
+_TOKEN = re.compile(
+    r"\s*(?:(?P<number>(?:\d+\.?\d*|\.\d+)(?:E[+-]?\d+)?)"
+    r"|(?P<text>\"[^\"]*\"|'[BH][0-9A-F]+')|(?P<name>[A-Z_$#][\w$]*)"
+    r"|(?P<sign>==|<>|<=|>=|[-+*/()\[\],.:{}<>=]))",
+    re.IGNORECASE,
+)
+_DECLARATION = re.compile(
+    r"((?:(?:GLOBAL|DECL|CONST)\s+)*)([A-Z_]\w*)\s+([A-Z_$]\w*.*)", re.IGNORECASE
+)
+_ITEM = re.compile(
+    r"([A-Z_$]\w*)\s*(\[[\d\s,]*\])?\s*(?:=(?!=)\s*(.*))?", re.IGNORECASE
+)
+_ASSIGNMENT = re.compile(
+    r"([A-Z_]\w*(?:\s*[\[.][^=<>]*)?)\s*=(?!=)\s*(.*)", re.IGNORECASE
+)
+_STRUCTURE = re.compile(
+    r"(?:(?:GLOBAL|DECL)\s+)*STRU[C]\s+(\w+)\s+(\w+\s+\w+(?:\s*,\s*[\w ]+)*)",
+    re.IGNORECASE,
+)
+_AXES = tuple("XYZABC")
+_EXTERNAL = tuple(f"E{n}" for n in range(1, 7))
+_JOINTS = tuple(f"A{n}" for n in range(1, 7))
+# Components of the structures of places, and of other types without any.
+_TYPES: dict[str, tuple[str, ...]] = {
+    "FRAME": _AXES,
+    "POS": (*_AXES, "S", "T"),
+    "E6POS": (*_AXES, "S", "T", *_EXTERNAL),
+    "AXIS": _JOINTS,
+    "E6AXIS": (*_JOINTS, *_EXTERNAL),
+    **dict.fromkeys(("INT", "REAL", "BOOL", "CHAR"), ()),
+}
+_LENGTHS = frozenset({*_AXES, *_EXTERNAL, *_JOINTS})
+Frame = dict[str, float]
+
+
+def _logical(action: Callable[[bool, bool], bool]) -> Callable[[Value, Value], Value]:
+    def value(a: Value, b: Value) -> Value:
+        if isinstance(a, bool) and isinstance(b, bool):
+            return action(a, b)
+        raise TypeError
+
+    return value
+
+
+def _quotient(a: Any, b: Any) -> Value:
+    """Quotient; that of two whole numbers is cut to a whole one."""
+    return int(a / b) if isinstance(a, int) and isinstance(b, int) else a / b
+
+
+def _negative(x: Any) -> Value:
+    return -x
+
+
+def _size(x: Any) -> Value:
+    return abs(x)
+
+
+def _product(a: Value, b: Value) -> Value:
+    """Frame b, given in frame a, in the frame in which that is given."""
+    if not (isinstance(a, dict) and isinstance(b, dict)):
+        raise TypeError
+    (at, R), (to, turn) = _pose(a), _pose(b)
+    return _frame(at + R @ to, R @ turn)
+
+
+def _inverse(a: Value) -> Value:
+    if not isinstance(a, dict):
+        raise TypeError
+    at, R = _pose(a)
+    return _frame(-R.T @ at, R.T)
+
+
+def _pose(
+    frame: Mapping[str, Any],
+) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]]:
+    """Place [mm] and rotation of a frame."""
+    values = [float(frame.get(key) or 0.0) for key in "XYZABC"]
+    return np.array(values[:3]), rotation_of_abc(*values[3:])
+
+
+def _frame(at: Float[np.ndarray, "3"], R: Float[np.ndarray, "3 3"]) -> Value:
+    return dict(zip("XYZABC", [*at.tolist(), *abc_of_rotation(R)], strict=True))
+
+
+def _degrees(action: Callable[[float], float]) -> Callable[[Any], Value]:
+    return lambda x: action(math.radians(x))
+
+
+def _operand(parser: Parser) -> Expression | None:
+    """Read a structure such as {X 1,Y 2}, a constant #NAME or bits such as 'B01'."""
+    if parser.kind == "name" and parser.word.startswith("#"):
+        word = parser.advance()
+        return lambda variables: word
+    if parser.kind == "text" and parser.word.startswith("'"):
+        word = parser.advance()
+        number = int(word[2:-1], 2 if word[1] in "Bb" else 16)
+        return lambda variables: number
+    if not parser.take("{"):
+        return None
+    parts: list[tuple[str, Expression]] = []
+    while not parser.take("}"):
+        if parts:
+            parser.expect(",")
+        name = parser.advance()
+        if not parts and parser.take(":"):
+            name = parser.advance()
+        if parser.take("["):
+            parser.expect("]")
+        parts.append((name, parser.expression()))
+
+    def value(variables: Variables) -> Value:
+        return {name: _typed("", name, part(variables)) for name, part in parts}
+
+    return value
+
+
+def _typed(kind: str, component: Name | None, value: Value) -> Value:
+    """Value as a variable of a type, or a component of a place, keeps it."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return value
+    if component in _LENGTHS or kind == "REAL":
+        return float(value)
+    return math.floor(value + 0.5) if kind == "INT" else value
+
+
+class KrlValues:
+    """Variables of a KRL program, by name in upper case.
+
+    Attributes:
+        variables: Their values.
+    """
+
+    def __init__(
+        self,
+        missing: Callable[[Name], Value],
+        call: Callable[[str, list[Expression]], Expression],
+    ) -> None:
+        self.variables = Variables(missing)
+        # Places of a controller's own arrays, filled where a program does so.
+        for name in ("BASE_DATA", "TOOL_DATA"):
+            self.variables.declare(name, [None] * 128, is_shared=True)
+        self._grammar = Grammar(
+            token=_TOKEN,
+            # The operators of comparison bind least of all.
+            binary=(
+                {
+                    "==": operator.eq,
+                    "<>": operator.ne,
+                    "<": operator.lt,
+                    ">": operator.gt,
+                    "<=": operator.le,
+                    ">=": operator.ge,
+                },
+                {"OR": _logical(operator.or_), "B_OR": operator.or_},
+                {"EXOR": _logical(operator.xor), "B_EXOR": operator.xor},
+                {"AND": _logical(operator.and_), "B_AND": operator.and_},
+                {"+": operator.add, "-": operator.sub},
+                {"*": operator.mul, "/": _quotient},
+                {":": _product},
+            ),
+            unary={
+                "-": (_negative, 6),
+                "+": (lambda x: x, 6),
+                "NOT": (operator.not_, 6),
+            },
+            functions={
+                "SQRT": math.sqrt,
+                "ABS": _size,
+                "SIN": _degrees(math.sin),
+                "COS": _degrees(math.cos),
+                "TAN": _degrees(math.tan),
+                "ACOS": lambda x: math.degrees(math.acos(x)),
+                "ATAN2": lambda y, x: math.degrees(math.atan2(y, x)),
+                "INV_POS": _inverse,
+            },
+            constants={
+                "TRUE": True,
+                "FALSE": False,
+                "$NULLFRAME": dict.fromkeys("XYZABC", 0.0),
+                "$WORLD": dict.fromkeys("XYZABC", 0.0),
+            },
+            operand=_operand,
+            call=call,
+        )
+        self._parsed: dict[str, Expression] = {}
+        self._types = dict(_TYPES)
+
+    def expression(self, text: str) -> Expression:
+        """Expression of a text; what is wrong with it is told when it is evaluated."""
+
+        def value(variables: Variables) -> Value:
+            known = self._parsed.get(text)
+            if known is None:
+                parser = Parser(text, self._grammar)
+                known = parser.expression()
+                parser.finish()
+                if len(self._parsed) < MOST_VALUES:
+                    self._parsed[text] = known
+            return known(variables)
+
+        return value
+
+    def place(self, text: str) -> Variable:
+        """Place in which a value is kept.
+
+        Raises:
+            ExpressionError: If it is none.
+        """
+        parser = Parser(text, self._grammar)
+        place = parser.variable()
+        parser.finish()
+        return place
+
+    def value(self, text: str) -> Value:
+        """Value of an expression.
+
+        Raises:
+            ExpressionError: If it has none.
+        """
+        return evaluated(self.expression(text), self.variables)
+
+    def number(self, text: str) -> float:
+        """Value of an expression that is a number; NaN if it has none, or too large."""
+        try:
+            value = self.value(text)
+        except ExpressionError:
+            return math.nan
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            return math.nan
+        return float(value) if abs(value) <= LARGEST_NUMBER else math.nan
+
+    def frame(self, text: str) -> Frame | None:
+        """Components of a place that an expression is; None if it is none."""
+        name = text.upper()
+        try:
+            # Most are names.
+            is_name = name in self.variables
+            value = self.variables.get(name) if is_name else self.value(text)
+        except ExpressionError:
+            return None
+        return components_of(value)
+
+    def declare(
+        self,
+        row: str,
+        literal: Callable[[str], Frame | None],
+        *,
+        is_shared: bool,
+    ) -> bool:
+        """Declare the variables of a row; False if it is no declaration.
+
+        Args:
+            row: A line without its comment.
+            literal: Reader of a place in numbers; None if it has a fault, and told it.
+            is_shared: Whether all routines see them.
+
+        Raises:
+            ExpressionError: If an array is too large, or a value has a fault.
+        """
+        if structure := _STRUCTURE.fullmatch(row):
+            names = [part.split()[-1].upper() for part in structure[2].split(",")]
+            self._types[structure[1].upper()] = tuple(names)
+            return True
+        match = _DECLARATION.fullmatch(row)
+        if match is None or not (match[1] or match[2].upper() in self._types):
+            return False
+        kind = match[2].upper()
+        for text in split_arguments(match[3]):
+            item = _ITEM.fullmatch(text)
+            if item is None:
+                return kind not in self._types
+            name, value = item[1].upper(), item[3]
+            if value is not None and kind not in ("INT", "REAL", "BOOL", "CHAR"):
+                if self._types.get(kind) and value.startswith("{"):
+                    self._keep(
+                        f"{name}{item[2] or ''}", kind, literal(value), is_shared
+                    )
+                continue
+            own = self.variables.calls[-1]
+            if not is_shared and name in own:
+                # A parameter has its value from the call.
+                self.variables.declare(f"type {name}", kind)
+                if own[name] is not None:
+                    self.put(name, own[name])
+                continue
+            start = None if value is None else _typed(kind, None, self.value(value))
+            if item[2] and value is not None:
+                self.put(f"{name}{item[2]}", start)
+                continue
+            parts = self._types.get(kind, ())
+            sizes = [int(one) for one in re.findall(r"\d+", item[2] or "")]
+            if math.prod(sizes) * max(len(parts), 1) > MOST_VALUES:
+                message = f"an array has more than {MOST_VALUES} values."
+                raise ExpressionError(name, message)
+            made = _made(sizes, parts) if value is None else start
+            self.variables.declare(name, made, is_shared=is_shared)
+            self.variables.declare(f"type {name}", kind, is_shared=is_shared)
+        return True
+
+    def _keep(self, name: str, kind: str, value: Value, is_shared: bool) -> None:
+        """Keep a place that is declared with its value."""
+        if "[" in name:
+            self.put(name, value)
+            return
+        whole = _whole(self._types[kind], value)
+        self.variables.declare(name, whole, is_shared=is_shared)
+
+    def assign(self, row: str) -> bool:
+        """Carry out an assignment; False if a row is none.
+
+        Raises:
+            ExpressionError: If the value has a fault, or nothing can take it.
+        """
+        match = _ASSIGNMENT.fullmatch(row)
+        if match is None:
+            return False
+        self.put(match[1], self.value(match[2]))
+        return True
+
+    def put(self, text: str, value: Value) -> None:
+        """Put a value to a place: a variable, an element or a component."""
+        variables, place = self.variables, self.place(text)
+        name = place.name(variables)
+        kind = ""
+        if f"type {name}" in variables:
+            kind = str(variables.get(f"type {name}"))
+        last = place.path[-1] if place.path else None
+        component = last if isinstance(last, str) else None
+        if component is None and isinstance(value, dict):
+            parts = self._types.get(kind) or _TYPES["E6POS"]
+            value = _whole(parts, value) if set(value) <= set(parts) else value
+        index = place.path[0] if place.path else None
+        if index is not None and not isinstance(index, str):
+            self._grow(name, index(variables))
+        place.set(
+            variables, _typed(kind if component is None else "", component, value)
+        )
+
+    def _grow(self, name: Name, index: Value) -> None:
+        """Make an array that nothing declares as long as it is used."""
+        variables = self.variables
+        if f"type {name}" in variables or not isinstance(index, int):
+            return
+        values = variables.get(name) if name in variables else []
+        if isinstance(values, list) and len(values) < index <= MOST_VALUES:
+            longer = [*values, *[None] * max(index - len(values), len(values))]
+            variables.declare(name, longer, is_shared=True)
+
+
+def components_of(value: Value) -> Frame | None:
+    """Components of a place that have a number; None if a value is no place."""
+    if not isinstance(value, dict) or not set(value) <= {*_LENGTHS, "S", "T"}:
+        return None
+    return {
+        key: float(part) for key, part in value.items() if isinstance(part, int | float)
+    }
+
+
+def _whole(parts: tuple[str, ...], value: Value) -> Value:
+    """Structure with all components, of which those of a value have one."""
+    return dict.fromkeys(parts) | value if isinstance(value, dict) else value
+
+
+def _made(sizes: list[int], parts: tuple[str, ...]) -> Value:
+    """Value of a variable, or of an array of them, that has none yet."""
+    if sizes:
+        return [_made(sizes[1:], parts) for _ in range(sizes[0])]
+    return dict.fromkeys(parts) if parts else None
