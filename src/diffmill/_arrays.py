@@ -1,14 +1,17 @@
 """Arrays of numbers known on the host, for devices and in one precision."""
 
 import math
-from typing import TypeVar
+from collections.abc import Callable, Mapping
+from typing import Any, TypeAlias, TypeVar
 
 import jax
 import jax.core
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, PyTree, Shaped
 
+# Plain arrays by name, as a checkpoint holds them.
+Arrays: TypeAlias = Mapping[str, Shaped[np.ndarray, "..."]]
 _Tree = TypeVar("_Tree")
 
 
@@ -45,6 +48,32 @@ def cast_floats(tree: _Tree, dtype: jnp.dtype) -> _Tree:
         return on_device(np.asarray(leaf, np.dtype(dtype)))  # pyright: ignore[reportArgumentType]
 
     return jax.tree.map(cast, tree)
+
+
+def named_leaves(
+    tree: PyTree, is_leaf: Callable[[Any], bool] | None = None
+) -> dict[str, Any]:
+    """Leaves of a tree, named by their place in it.
+
+    Args:
+        tree: The tree.
+        is_leaf: As of `jax.tree.flatten`.
+    """
+    leaves, _ = jax.tree_util.tree_flatten_with_path(tree, is_leaf)
+    name = lambda path: jax.tree_util.keystr(path, simple=True, separator="/")
+    return {name(path): leaf for path, leaf in leaves}
+
+
+def below(prefix: str, arrays: Arrays | None) -> dict[str, np.ndarray]:
+    """Arrays whose names begin with a prefix, without it."""
+    start, known = f"{prefix}/", {} if arrays is None else arrays
+    return {k[len(start) :]: known[k] for k in known if k.startswith(start)}
+
+
+def above(prefix: str, tree: PyTree) -> dict[str, np.ndarray]:
+    """Leaves of a tree on the host, named by their place behind a prefix."""
+    leaves = named_leaves(jax.device_get(tree))
+    return {f"{prefix}/{name}": np.asarray(leaf) for name, leaf in leaves.items()}
 
 
 def has_values(*leaves: object) -> bool:

@@ -324,6 +324,11 @@ def previous_of(file: pathlib.Path) -> pathlib.Path:
     return sibling(file, ".previous")
 
 
+def parts_of(file: pathlib.Path) -> pathlib.Path:
+    """Return the folder of the parts of a checkpoint."""
+    return sibling(file, ".parts")
+
+
 def sibling(path: pathlib.Path, suffix: str) -> pathlib.Path:
     """Return the path beside another one, whose name a suffix lengthens.
 

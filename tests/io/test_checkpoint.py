@@ -29,9 +29,9 @@ def checkpoint(path, job="job"):
 
 
 def latest(path, job="job"):
-    arrays, notes = checkpoint(path, job).latest()
+    arrays, notes, _ = checkpoint(path, job).latest()
     assert arrays is not None
-    return arrays, notes
+    return dict(arrays), notes
 
 
 def test_a_checkpoint_comes_back_as_it_was(file):
@@ -75,7 +75,7 @@ def test_a_cut_off_one_is_refused(file, length):
 
 def test_a_digit_of_the_format_that_has_changed_is_damage(file):
     data = file.read_bytes()
-    file.write_bytes(data.replace(b"checkpoint 4 ", b"checkpoint 5 ", 1))
+    file.write_bytes(data.replace(b"checkpoint 5 ", b"checkpoint 4 ", 1))
     assert latest(file)[0]["count"] == 1
 
 
@@ -88,17 +88,65 @@ def test_another_job_or_format_is_refused(file, monkeypatch):
     with pytest.raises(ValueError, match=r"run\.checkpoint"):
         latest(file, job="other")
     with monkeypatch.context() as patch:
-        patch.setattr("diffmill.io._checkpoint._VERSION", 5)
-        with pytest.raises(ValueError, match=r"4.* 5"):
+        patch.setattr("diffmill.io._checkpoint._VERSION", 6)
+        with pytest.raises(ValueError, match=r"5.* 6"):
             latest(file)
     monkeypatch.setattr("diffmill.io._checkpoint._versions", lambda: "jax 0")
     with pytest.raises(ValueError, match="jax 0"):
         latest(file)
 
 
+@pytest.fixture
+def long(tmp_path):
+    """Two checkpoints of a run that adds rows."""
+    path, parts = tmp_path / "run.checkpoint", ()
+    for count in (1, 2):
+        rows = {f"rows/{count}": np.full(4, count)}
+        parts += (checkpoint(path).add_part(rows),)
+        checkpoint(path).write({"count": np.asarray(count)}, parts)
+    return path
+
+
+def part_with(path, count):
+    """The file that holds the rows of a checkpoint."""
+    name = checkpoint(path).latest().parts[count - 1]
+    return path.with_name("run.checkpoint.parts") / name
+
+
+def test_parts_come_back_with_the_checkpoint_that_lists_them(long):
+    checkpoint(long).add_part({"rows/3": np.zeros(1)})
+    arrays, notes = latest(long)
+    assert notes == () and len(arrays) == 3
+    assert sorted(arrays) == ["count", "rows/1", "rows/2"]
+    for count in (1, 2):
+        np.testing.assert_array_equal(arrays[f"rows/{count}"], np.full(4, count))
+    assert arrays["count"] == 2 and "rows/3" not in arrays
+    checkpoint(long).remove()
+    assert not any(long.parent.iterdir())
+
+
+@pytest.mark.parametrize("is_there", [True, False])
+def test_a_damaged_part_takes_its_checkpoint_away(long, is_there):
+    first, second = part_with(long, 1), part_with(long, 2)
+    for file, found in ((second, "before it is used"), (first, "no other checkpoint")):
+        if is_there:
+            data = bytearray(file.read_bytes())
+            data[len(data) // 2] ^= 1
+            file.write_bytes(bytes(data))
+        else:
+            file.unlink()
+        if file == second:
+            arrays, notes = latest(long)
+            assert sorted(arrays) == ["count", "rows/1"]
+            assert str(file) in notes[0] and found in notes[1]
+            continue
+        with pytest.raises(ValueError, match=found):
+            latest(long)
+
+
 def test_there_may_be_none(tmp_path):
     path = tmp_path / "run.checkpoint"
-    assert checkpoint(path).latest() == (None, ())
+    assert checkpoint(path).latest() == (None, (), ())
     assert not checkpoint(path).exists()
 
 

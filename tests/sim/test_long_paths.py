@@ -126,6 +126,70 @@ def test_a_path_in_segments_is_the_path(tmp_path, kind):
     assert any(f"of {rows} tooth periods" in message for message, _ in told)
 
 
+class Stopped(Exception):
+    """An interruption behind some segments."""
+
+
+class Kept(dict):
+    """Checkpoint that stops a run when it was called so many times."""
+
+    def __init__(self, last=None):
+        self.calls, self.last = 0, last
+
+    def __call__(self, arrays):
+        self.update(arrays)
+        self.calls += 1
+        if self.calls == self.last:
+            raise Stopped
+
+
+def simulate_stopped(job, ends):
+    """Solution of a run that is stopped again and again behind some segments."""
+    kept = None
+    for last in ends:
+        kept, before = Kept(last), kept
+        kept.update(before or {})
+        with pytest.raises(Stopped):
+            simulate_kept(job, kept, before)
+    return simulate_kept(job, Kept(), kept)
+
+
+def simulate_kept(job, kept, resume=None):
+    return dm.simulate(
+        job, throw=False, segment_periods=SEGMENT, on_checkpoint=kept, resume=resume
+    )
+
+
+@pytest.mark.parametrize(
+    "kind", [pytest.param(x, marks=() if x in FAST else SLOW) for x in KINDS]
+)
+def test_a_run_goes_on_behind_its_last_segment(tmp_path, kind):
+    """To the last bit: from within each run, from between them, and from the end."""
+    job, kept = job_of(tmp_path, kind), Kept()
+    wanted = simulate_kept(job, kept)
+    runs = len({name.split("/")[1] for name in kept if name.startswith("rows/")})
+    segments = -(-(job.path.step_count - 1) // SEGMENT)
+    assert kept.calls == runs * segments and segments > 3
+    # What a segment adds does not grow with the path.
+    found = simulate_stopped(job, [2, segments - 2, (runs - 1) * segments - 1, 1])
+    equal = jax.tree.map(np.array_equal, found, wanted)
+    assert all(jax.tree.leaves(equal))
+    again = Kept()
+    equal = jax.tree.map(np.array_equal, simulate_kept(job, again, kept), wanted)
+    assert all(jax.tree.leaves(equal)) and again.calls == 0
+
+
+def test_a_checkpoint_of_other_segments_or_another_job_is_refused(tmp_path):
+    job, kept = job_of(tmp_path, "rigid"), Kept(1)
+    with pytest.raises(Stopped):
+        simulate_kept(job, kept)
+    with pytest.raises(ValueError, match="must have segments of 128 tooth periods"):
+        dm.simulate(job, segment_periods=2 * SEGMENT, resume=kept)
+    kept = {name: rows for name, rows in kept.items() if "cut_by" not in name}
+    with pytest.raises(ValueError, match="must be of the same job"):
+        dm.simulate(job, segment_periods=SEGMENT, resume=kept)
+
+
 @pytest.mark.slow
 def test_an_overflow_is_told_where_it_is(tmp_path):
     """With more slots a run in segments begins anew, but not where they are stated."""
@@ -137,6 +201,7 @@ def test_an_overflow_is_told_where_it_is(tmp_path):
     grown = dm.simulate(free, segment_periods=SEGMENT)
     assert_same(grown, dm.simulate(free))
     assert max(grown.stock.interval_counts) > 1
+    assert_same(simulate_stopped(free, [6, 3]), grown)
 
 
 @pytest.mark.slow

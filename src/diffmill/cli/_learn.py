@@ -91,7 +91,7 @@ def run_learn(
         if advises:
             with interruption_leaves(lambda: "no results were written"):
                 return _advise(measured, folder, progress, force=force)
-        checkpoint = Checkpoint(folder, measured, progress)
+        checkpoint = Checkpoint("learn", folder, measured, progress)
         with bad_input():
             checkpoint.open(resume=resume, force=force)
         with interruption_leaves(checkpoint.interruption_text):

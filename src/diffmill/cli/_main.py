@@ -71,6 +71,13 @@ _Band = Annotated[
 _Json = Annotated[
     bool, tyro.conf.arg(help="Print the figures of all cases as JSON, in SI units.")
 ]
+_Resume = Annotated[
+    bool,
+    tyro.conf.arg(
+        help="Go on from where an interrupted run of the same job was: from the "
+        "checkpoint beside --out."
+    ),
+]
 _ToolAxis = Annotated[
     Literal["x", "y", "z", "-x", "-y", "-z"] | None,
     tyro.conf.arg(
@@ -106,6 +113,7 @@ def simulate(
     json: _Json = False,
     allow_outside: _Outside = False,
     tolerance_band: _Band = None,
+    resume: _Resume = False,
 ) -> int:
     """Predict forces, deviation and the machined surface of a job."""
     _check_tables(job)
@@ -119,6 +127,7 @@ def simulate(
         progress=shown.progress(prints_json=json),
         allow_outside=allow_outside,
         tolerance_band=tolerance_band,
+        resume=resume,
     )
 
 
@@ -131,13 +140,7 @@ def correct(
     json: _Json = False,
     allow_outside: _Outside = False,
     tolerance_band: _Band = None,
-    resume: Annotated[
-        bool,
-        tyro.conf.arg(
-            help="Go on from where an interrupted run of the same job was: from the "
-            "checkpoint beside --out."
-        ),
-    ] = False,
+    resume: _Resume = False,
 ) -> int:
     """Predict, correct the path, predict again; write the corrected program."""
     _check_tables(job)

@@ -77,7 +77,7 @@ def run_job(
         allow_outside: True if the job may name files outside its folder.
         tolerance_band: Contour error to hold the result against, with its unit; by
             default that of the job.
-        resume: True to go on from the checkpoint of a correction.
+        resume: True to go on from the checkpoint of an interrupted run.
     """
     band, is_correction = _length(tolerance_band), command == "correct"
     folder = pathlib.Path(f"{file.stem}-{command}") if out is None else out
@@ -114,12 +114,11 @@ def run_job(
             raise JobError(file, [NO_TILT])
     with locked_folder(folder) as unlocked:
         run = JobRun(is_correction, job, folder, may_replace, progress)
-        if is_correction:
-            with interruption_leaves(lambda: _earlier_files(results)), bad_input():
-                if job.output.moved_ends:
-                    run.program = JobProgram.of_job(file, allow_outside=allow_outside)
-                run.checkpoint = Checkpoint(folder, job, progress)
-                run.checkpoint.open(resume=resume, force=force)
+        with interruption_leaves(lambda: _earlier_files(results)), bad_input():
+            if is_correction and job.output.moved_ends:
+                run.program = JobProgram.of_job(file, allow_outside=allow_outside)
+            run.checkpoint = Checkpoint(command, folder, job, progress)
+            run.checkpoint.open(resume=resume, force=force)
         for note in (*job.notes, *filter(None, [uncached, unlocked])):
             progress.write(f"note: {note}")
         with interruption_leaves(run.interruption_text):
@@ -130,7 +129,7 @@ class JobRun:
     """A run of a job whose folder is locked.
 
     Attributes:
-        checkpoint: The checkpoint of a correction.
+        checkpoint: The checkpoint of a run that is to `finish`.
         program: The job's program before it was timed, where its block ends are moved.
     """
 
@@ -153,13 +152,14 @@ class JobRun:
     def interruption_text(self) -> str:
         """Sentence on the files that an interruption leaves."""
         resumes = ""
-        if self.checkpoint is not None and self.checkpoint.file.exists():
+        checkpoint = self.checkpoint
+        if checkpoint is not None and checkpoint.file.exists():
             resumes = "the same command with --resume goes on from there"
         if self._is_written:
             more = f"; {resumes}" if resumes else ""
             return f"{self._folder} has the results without figures and report{more}"
-        if self.checkpoint is not None:
-            return self.checkpoint.interruption_text()
+        if checkpoint is not None:
+            return checkpoint.interruption_text()
         return "no results were written"
 
     def finish(self, band: float | None, importing: threading.Thread) -> int:
@@ -167,31 +167,32 @@ class JobRun:
         from .._result import SimulationFailed
         from ..viz import summary
 
-        start = time.perf_counter()
+        checkpoint, start = self.checkpoint, time.perf_counter()
+        assert checkpoint is not None
         try:
             with self._progress:
                 outcome = _compute(
                     self._is_correction,
                     self._job,
                     self._progress,
-                    self.checkpoint,
+                    checkpoint,
                     self._tell_chatter,
                 )
         except SimulationFailed as failure:
+            # The run would end alike from there.
+            checkpoint.remove_own()
             return _write_failure(
                 self._folder, self._job, failure, force=self._may_replace
             )
         except BadInput:
             # Of no use to the job as it will be, and in its way.
-            if self.checkpoint is not None and self.checkpoint.is_ours:
-                self.checkpoint.remove()
+            checkpoint.remove_own()
             raise
         seconds = time.perf_counter() - start
         importing.join()
         # Programs took more while they were made than results and figures take.
         give_back_memory()
-        if self.checkpoint is not None:
-            seconds += self.checkpoint.spent
+        seconds += checkpoint.spent
         run = self.write(outcome, band, seconds)
         # The verdict follows the analyses that it includes.
         self._progress.answer(summary(run.dataset, "figures"))
@@ -204,8 +205,7 @@ class JobRun:
         self._progress.write(
             f"analyses, figures and report took another {seconds:.1f} s"
         )
-        if self.checkpoint is not None:
-            self.checkpoint.remove()
+        checkpoint.remove()
         if self._progress.prints_json:
             figures = _figures(run.dataset, self._folder, run.job.notes)
             print(json.dumps(figures, indent=2))
@@ -352,14 +352,19 @@ def _compute(
     is_correction: bool,
     job: "Job",
     progress: Progress,
-    checkpoint: Checkpoint | None,
+    checkpoint: Checkpoint,
     on_predicted: Callable[[Outcome], None],
 ) -> Outcome:
     """Run the job; `on_predicted` is called before anything is corrected."""
     from ..sim import simulate
 
     if not is_correction:
-        return simulate(job, on_progress=progress.update)
+        return simulate(
+            job,
+            on_progress=progress.update,
+            on_checkpoint=checkpoint.write,
+            resume=checkpoint.resumed,
+        )
     from ..correction import correct
 
     def tell(message: str, rms: float) -> None:
@@ -372,8 +377,8 @@ def _compute(
             job,
             on_predicted=on_predicted,
             on_progress=tell,
-            on_checkpoint=None if checkpoint is None else checkpoint.write,
-            resume=None if checkpoint is None else checkpoint.resumed,
+            on_checkpoint=checkpoint.write,
+            resume=checkpoint.resumed,
         )
 
 

@@ -4,29 +4,32 @@ A first line holds the version of the format and the SHA-256 of it and of all th
 follows, an `.npz` archive of plain arrays (no pickle). A new checkpoint is written
 beside the old one, flushed to the disk and renamed; the one before is kept. So a run
 that is killed at any moment leaves at least one that is whole.
+
+What a run adds once and never changes, such as the rows of a long path, lies in parts
+beside it: archives in a folder, each under its own SHA-256, which the checkpoint lists.
+So a checkpoint does not grow with what has been computed.
 """
 
 import dataclasses
 import hashlib
 import io
 import pathlib
+import shutil
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from importlib import metadata
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Shaped
 
-from .._results_folder import previous_of, write_whole
+from .._arrays import Arrays
+from .._results_folder import parts_of, previous_of, write_whole
 
-Arrays: TypeAlias = Mapping[str, Shaped[np.ndarray, "..."]]
-
-_MAGIC, _VERSION = b"diffmill-checkpoint", 4
+_MAGIC, _VERSION = b"diffmill-checkpoint", 5
 # Longest first line that is looked at.
 _LONGEST_FIRST_LINE = 200
 # Names that the file adds to the arrays, which themselves never begin with a dot.
-_JOB, _MADE_BY = ".job", ".made_by"
+_JOB, _MADE_BY, _PARTS = ".job", ".made_by", ".parts"
 _PACKAGES = (
     "diffmill",
     "jax",
@@ -51,12 +54,15 @@ class LatestCheckpoint(NamedTuple):
     """The newest checkpoint that is whole.
 
     Attributes:
-        arrays: What it holds, by name; None if there is no checkpoint at all.
+        arrays: What it and its parts hold, by name; None if there is no checkpoint at
+            all. Those of parts are read when they are asked for.
         notes: What was refused, one sentence each.
+        parts: Names of its parts.
     """
 
-    arrays: dict[str, np.ndarray] | None
+    arrays: Arrays | None
     notes: tuple[str, ...]
+    parts: tuple[str, ...] = ()
 
 
 class CheckpointFile(NamedTuple):
@@ -96,15 +102,35 @@ class CheckpointFile(NamedTuple):
         return self.path.exists() or self.previous.exists()
 
     def remove(self) -> None:
-        """Remove the checkpoint and the one before it, if they are there."""
+        """Remove the checkpoint, the one before it and their parts, if there are any.
+
+        Parts go last: without them a checkpoint is refused.
+        """
         self.previous.unlink(missing_ok=True)
         self.path.unlink(missing_ok=True)
+        shutil.rmtree(parts_of(self.path), ignore_errors=True)
 
-    def write(self, arrays: Arrays) -> None:
+    def add_part(self, arrays: Arrays) -> str:
+        """Write a part, which no checkpoint lists so far; return its name.
+
+        Args:
+            arrays: Plain arrays by name.
+
+        Raises:
+            OSError: The part cannot be written.
+        """
+        content = _archive(arrays)
+        name, folder = hashlib.sha256(content).hexdigest(), parts_of(self.path)
+        folder.mkdir(exist_ok=True)
+        write_whole(folder / name, content)
+        return name
+
+    def write(self, arrays: Arrays, parts: tuple[str, ...] = ()) -> None:
         """Write a checkpoint, and keep the one before.
 
         Args:
             arrays: Plain arrays by name.
+            parts: Names of the parts that belong to it.
 
         Raises:
             OSError: The file cannot be written; the earlier ones are as they were.
@@ -114,9 +140,8 @@ class CheckpointFile(NamedTuple):
         all_arrays = {name: np.asarray(value) for name, value in arrays.items()}
         all_arrays[_JOB] = np.asarray(self.job_fingerprint)
         all_arrays[_MADE_BY] = np.asarray(_versions())
-        buffer = io.BytesIO()
-        np.savez(buffer, allow_pickle=False, **all_arrays)
-        version, content = b"%d" % _VERSION, buffer.getvalue()
+        all_arrays[_PARTS] = np.array(parts, np.str_)
+        version, content = b"%d" % _VERSION, _archive(all_arrays)
         first = b"%s %s %s\n" % (_MAGIC, version, _digest(version, content))
         previous = self.previous
         try:
@@ -131,7 +156,7 @@ class CheckpointFile(NamedTuple):
         """Return the newest checkpoint that is whole.
 
         Raises:
-            DamagedCheckpoint: There are checkpoints, but none is whole.
+            DamagedCheckpoint: There are checkpoints, but none is whole with its parts.
             CheckpointError: It is of another job, format or version of the programs.
         """
         notes: list[str] = []
@@ -139,21 +164,22 @@ class CheckpointFile(NamedTuple):
             if not file.exists():
                 continue
             try:
-                arrays = self._read(file)
+                arrays, parts = self._read(file)
             except DamagedCheckpoint as error:
                 notes.append(str(error))
                 continue
             if notes:
                 notes.append(f"the checkpoint before it is used: {file}")
-            return LatestCheckpoint(arrays, tuple(notes))
+            return LatestCheckpoint(arrays, tuple(notes), parts)
         if notes:
             raise DamagedCheckpoint("; ".join([*notes, "no other checkpoint is there"]))
         return LatestCheckpoint(None, ())
 
-    def _read(self, file: pathlib.Path) -> dict[str, np.ndarray]:
-        """Return the arrays of one file, if it is whole and of this job."""
+    def _read(self, file: pathlib.Path) -> tuple[Arrays, tuple[str, ...]]:
+        """Arrays of one file, and its parts, if they are whole and of this job."""
         arrays = _arrays_of(file)
         made_by, job = str(arrays.pop(_MADE_BY)), str(arrays.pop(_JOB))
+        parts = tuple(map(str, arrays.pop(_PARTS)))
         if made_by != _versions():
             raise CheckpointError(
                 f"{file}: found a checkpoint made by {made_by}; only one made by "
@@ -161,10 +187,50 @@ class CheckpointFile(NamedTuple):
             )
         if job != self.job_fingerprint:
             raise CheckpointError(
-                f"{file}: found a checkpoint of another job; the job and all files "
-                "that it names must be as they were when the run was started"
+                f"{file}: found a checkpoint of another job or command; the job and "
+                "all files that it names must be as they were when the run was started"
             )
-        return arrays
+        return _WithParts(arrays, parts_of(self.path), parts), parts
+
+
+class _WithParts(Mapping[str, np.ndarray]):
+    """Arrays of a checkpoint and of its parts, of which it holds the names alone."""
+
+    def __init__(self, arrays: Arrays, folder: pathlib.Path, parts: tuple[str, ...]):
+        self._arrays, self._files = arrays, dict[str, pathlib.Path]()
+        for part in parts:
+            file = folder / part
+            try:
+                with open(file, "rb") as stream:
+                    digest = hashlib.file_digest(stream, "sha256").hexdigest()
+            except FileNotFoundError as error:
+                raise DamagedCheckpoint(f"{file}: found no such part") from error
+            if digest != part:
+                raise DamagedCheckpoint(f"{file}: is damaged: its content has changed")
+            with np.load(file, allow_pickle=False) as archive:
+                self._files |= dict.fromkeys(archive.files, file)
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        """Array of that name."""
+        if name in self._arrays:
+            return self._arrays[name]
+        with np.load(self._files[name], allow_pickle=False) as archive:
+            return archive[name]
+
+    def __iter__(self) -> Iterator[str]:
+        """Names of all arrays."""
+        return iter([*self._arrays, *self._files])
+
+    def __len__(self) -> int:
+        """Number of all arrays."""
+        return len(self._arrays) + len(self._files)
+
+
+def _archive(arrays: Arrays) -> bytes:
+    """Archive of plain arrays."""
+    buffer = io.BytesIO()
+    np.savez(buffer, allow_pickle=False, **arrays)
+    return buffer.getvalue()
 
 
 def _digest(version: bytes, content: bytes) -> bytes:
@@ -193,7 +259,7 @@ def _arrays_of(file: pathlib.Path) -> dict[str, np.ndarray]:
             arrays = {name: archive[name] for name in archive.files}
     except (OSError, ValueError, zipfile.BadZipFile) as error:
         raise DamagedCheckpoint(f"{file}: is damaged: {error}") from error
-    if not {_JOB, _MADE_BY} <= arrays.keys():
+    if not {_JOB, _MADE_BY, _PARTS} <= arrays.keys():
         raise DamagedCheckpoint(f"{file}: is damaged: it names no job")
     return arrays
 

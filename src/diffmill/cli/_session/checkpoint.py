@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 # Name of the time of the run in a checkpoint [s].
 _SPENT = "spent_s"
+# Beginning of the names of arrays that are told once.
+_ONCE = "rows/"
 
 
 class Checkpoint:
@@ -26,20 +28,25 @@ class Checkpoint:
         file: Its file, `<folder>.checkpoint`.
         resumed: Its arrays, or None for a run from the beginning.
         spent: Time of the run until then [s].
-        is_ours: True if this run has written it or goes on from it.
     """
 
     def __init__(
-        self, folder: pathlib.Path, job: "Job | MeasuredJob", progress: Progress
+        self,
+        command: str,
+        folder: pathlib.Path,
+        job: "Job | MeasuredJob",
+        progress: Progress,
     ):
         from ...io import CheckpointFile
 
-        self.file = CheckpointFile.of_job(ResultsFolder.of(folder).checkpoint, job)
+        path = ResultsFolder.of(folder).checkpoint
+        self.file = CheckpointFile.of_job(path, (command, job))
         self.resumed: Mapping[str, np.ndarray] | None = None
         self.spent = 0.0
-        self.is_ours = False
+        self._is_ours = False
         self._began = time.perf_counter()
         self._progress, self._has_failed = progress, False
+        self._parts: tuple[str, ...] = ()
 
     def open(self, *, resume: bool, force: bool) -> None:
         """Read the checkpoint of an earlier run, or refuse to overwrite it.
@@ -69,14 +76,26 @@ class Checkpoint:
             )
             return
         self.spent = float(arrays.get(_SPENT, 0.0))
-        self.resumed = {name: x for name, x in arrays.items() if name != _SPENT}
-        self.is_ours = True
+        self.resumed, self._parts = arrays, latest.parts
+        self._is_ours = True
 
     def write(self, arrays: Mapping[str, np.ndarray]) -> None:
-        """Write the arrays so far; where that fails, the run goes on."""
+        """Write the arrays so far; where that fails, the run goes on.
+
+        Args:
+            arrays: Plain arrays by name. Those of rows are kept beside those of earlier
+                calls, all others replace them.
+        """
         spent = self.spent + time.perf_counter() - self._began
+        rows = {name: x for name, x in arrays.items() if name.startswith(_ONCE)}
+        others = {name: x for name, x in arrays.items() if name not in rows}
+        if rows and self._has_failed:
+            # Without rows that could not be written none goes on.
+            return
         try:
-            self.file.write({**arrays, _SPENT: np.asarray(spent)})
+            if rows:
+                self._parts += (self.file.add_part(rows),)
+            self.file.write({**others, _SPENT: np.asarray(spent)}, self._parts)
         except OSError as error:
             if not self._has_failed:
                 self._progress.write(
@@ -86,7 +105,7 @@ class Checkpoint:
                 )
             self._has_failed = True
             return
-        self.is_ours = True
+        self._is_ours = True
 
     def interruption_text(self) -> str:
         """Sentence on what an interruption leaves before there are results."""
@@ -100,3 +119,8 @@ class Checkpoint:
     def remove(self) -> None:
         """Remove it after the results have been written."""
         self.file.remove()
+
+    def remove_own(self) -> None:
+        """Remove it if this run has written it or goes on from it."""
+        if self._is_ours:
+            self.remove()

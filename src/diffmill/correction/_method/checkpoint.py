@@ -5,7 +5,7 @@ file of them needs no code to be read. Where they are written is the caller's bu
 """
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any, TypeAlias, TypeVar
 
 import equinox as eqx
@@ -14,13 +14,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, PyTree, Shaped
 
+from ..._arrays import Arrays as Arrays, below as below, named_leaves
 from ..._result import RESULTS
 from ..._types import FloatRows
 from ...optimise import LeastSquaresStep
 from .._core.method import MethodResult, corrected
 from .._core.problem import Motion, Problem
 
-Arrays: TypeAlias = Mapping[str, Shaped[np.ndarray, "..."]]
 # Called with all that is needed to go on from here.
 OnCheckpoint: TypeAlias = Callable[[Arrays], None]
 _State = TypeVar("_State")
@@ -32,14 +32,13 @@ def pack(state: PyTree) -> dict[str, np.ndarray]:
     Args:
         state: A tree of arrays, numbers and steps of searches.
     """
-    leaves, _ = jax.tree_util.tree_flatten_with_path(state, is_leaf=_is_history)
     fields = [field.name for field in dataclasses.fields(LeastSquaresStep)]
     arrays = {}
-    for path, leaf in leaves:
+    for name, leaf in named_leaves(state, _is_history).items():
         if isinstance(leaf, tuple):
             rows = [[float(getattr(step, name)) for name in fields] for step in leaf]
             leaf = np.array(rows, np.float64).reshape(-1, len(fields))
-        arrays[_name(path)] = np.asarray(leaf)
+        arrays[name] = np.asarray(leaf)
     return arrays
 
 
@@ -54,22 +53,13 @@ def unpack(arrays: Arrays, like: _State) -> _State:
     Raises:
         ValueError: The leaves are others.
     """
-    leaves, structure = jax.tree_util.tree_flatten_with_path(like, is_leaf=_is_history)
-    if sorted(arrays) != sorted(_name(path) for path, _ in leaves):
+    leaves = named_leaves(like, _is_history)
+    if sorted(arrays) != sorted(leaves):
         raise ValueError("the state of the plant has another structure")
     return jax.tree.unflatten(
-        structure, [_leaf(arrays[_name(path)], leaf) for path, leaf in leaves]
+        jax.tree.structure(like, is_leaf=_is_history),
+        [_leaf(arrays[name], leaf) for name, leaf in leaves.items()],
     )
-
-
-def below(prefix: str, arrays: Arrays | None) -> dict[str, np.ndarray]:
-    """Arrays whose names begin with a prefix, without it."""
-    start, known = f"{prefix}/", {} if arrays is None else arrays
-    return {k[len(start) :]: known[k] for k in known if k.startswith(start)}
-
-
-def _name(path: tuple[Any, ...]) -> str:
-    return jax.tree_util.keystr(path, simple=True, separator="/")
 
 
 def _is_history(node: object) -> bool:

@@ -7,16 +7,15 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float, PyTree
 
-from ..._arrays import is_traced, on_device
-from ..._padding import LONGEST, whole_parts
+from ..._arrays import on_device
 from ..._types import FloatRows, FloatRows3
 from ...numerics import CachedJit
 from ...robot import Controller
-from ...toolpath import Path
 from ...workpiece import Pose, Stock
 from .._machine.machine import AbstractMachine, Run, RunSegment
 from .._machine.rigid import PathPiece, Rigid
-from .segments import MoreSlots, PathSegment, SegmentedRun, Segments, run_in_segments
+from .path_segments import PathSegment
+from .segments import PathRows, SegmentedRun, SegmentPlan, run_in_segments
 from .walls import WallRows, Walls
 
 if TYPE_CHECKING:
@@ -35,31 +34,6 @@ class Followed(NamedTuple):
     run: Run
     walls: Walls
     motors: FloatRows | None
-
-
-class SegmentPlan(NamedTuple):
-    """Plan of a run in segments, for a path that is long.
-
-    Attributes:
-        periods: Tooth periods of a segment, in whole parts of `scan_rows`; a path of at
-            most so many rows is run whole.
-        on_rows: Called after each segment with the number of rows done.
-        more_slots: As of `run_in_segments`.
-    """
-
-    periods: int = LONGEST
-    on_rows: Callable[[int], None] = lambda count: None
-    more_slots: MoreSlots = lambda counts: None
-
-    def suits(self, path: Path, given: object) -> bool:
-        """True if a path is run in segments: a long one, of which nothing is traced.
-
-        Args:
-            path: The path.
-            given: All that its run depends on.
-        """
-        is_padded = path.row_count is not None
-        return path.step_count > self.periods and not (is_padded or is_traced(given))
 
 
 class LongRun(NamedTuple):
@@ -85,14 +59,12 @@ class LongRun(NamedTuple):
         tips, axes = np.asarray(tips), self.problem.axes
         axes = None if axes is None else np.asarray(axes)
         force, force_range = _no_force(tips)
-        ran = self._run(
-            machine,
-            len(tips),
-            lambda segment: _path_piece(tips, axes, segment),
-            lambda segment, ran: segment.put(
-                (force, force_range), (ran.force, ran.force_range)
-            ),
+        rows = PathRows(
+            lambda segment, _: (_path_piece(tips, axes, segment), None),
+            (force, force_range),
+            lambda told, ran: (ran.force, ran.force_range),
         )
+        ran = self._run(machine, len(tips), rows)
         return self._whole(ran, (tips, tips[:, None], force, force_range, None))
 
     def follow(
@@ -110,54 +82,37 @@ class LongRun(NamedTuple):
             run, told = self.cut(tips), None
         else:
             assert motors is not None and problem.kinematics is not None
-            told, is_arm = np.array(motors), problem.kinematics.arm is not None
-            commands = _commands(problem, np.asarray(motors))
+            is_arm = problem.kinematics.arm is not None
             substeps = problem.process.engagement.substeps
             rows = (
                 np.zeros_like(tips),
                 np.zeros((len(tips), substeps, 3), tips.dtype),
                 *_no_force(tips),
-                np.zeros_like(told) if is_arm else None,
+                np.zeros_like(motors) if is_arm else None,
             )
+            told = np.array(motors)
 
-            def command(segment: PathSegment) -> Float[Array, "row axis"]:
-                segment.put(told, command := commands(segment))
-                return command
-
-            def take(segment: PathSegment, ran: RunSegment) -> None:
+            def of_segment(command: PyTree, ran: RunSegment) -> PyTree:
                 force = ran.force, ran.force_range
-                segment.put(rows, (ran.actual, ran.ends, *force, ran.joint_positions))
+                return (ran.actual, ran.ends, *force, ran.joint_positions), command
 
-            ran = self._run(problem.machine, len(tips), command, take)
-            run = self._whole(ran, rows)
+            command = _commands(problem, np.asarray(motors))
+            path_rows = PathRows(command, (rows, told), of_segment)
+            run = self._whole(self._run(problem.machine, len(tips), path_rows), rows)
             told = told if is_arm else None
         path = problem.path
         walls = WallRows(path.positions, problem.axes, path.disturbance, run.ends)
         walls = walls.long_walls(
-            problem.process.cutter, finished, self._segments(len(tips))
+            problem.process.cutter, finished, self.plan.segments(len(tips))
         )
         return Followed(run, walls, told)
 
-    def _segments(self, row_count: int) -> Segments:
-        """Segments of a path of so many rows."""
-        return Segments(row_count, whole_parts(self.plan.periods) + 1)
-
     def _run(
-        self,
-        machine: AbstractMachine,
-        row_count: int,
-        command: Callable[[PathSegment], PyTree],
-        take: Callable[[PathSegment, RunSegment], None],
+        self, machine: AbstractMachine, row_count: int, rows: PathRows
     ) -> SegmentedRun:
         """Run of a machine in the segments, as `run_in_segments`."""
-
-        def took(segment: PathSegment, ran: RunSegment) -> None:
-            take(segment, ran)
-            self.plan.on_rows(segment.first + segment.row_count)
-
-        process, segments = self.problem.process, self._segments(row_count)
-        more_slots = self.plan.more_slots
-        return run_in_segments(machine, process, segments, command, took, more_slots)
+        segments = self.plan.segments(row_count)
+        return run_in_segments(machine, self.problem.process, segments, rows, self.plan)
 
     def _whole(self, ran: SegmentedRun, rows: PyTree) -> Run:
         """The run with its rows: tips, ends, forces, their range, and joints."""
@@ -203,21 +158,21 @@ def _path_piece(
 
 def _commands(
     problem: "MachiningProblem", motors: Float[np.ndarray, "step axis"]
-) -> Callable[[PathSegment], Float[Array, "row axis"]]:
-    """Motors of one segment after the other, as the controller lets them move."""
+) -> Callable[[PathSegment, PyTree], tuple[Float[Array, "row axis"], PyTree]]:
+    """Motors in a segment and the controller's state behind it, from that before."""
     controller = problem.controller
     if controller is None:
-        return lambda segment: on_device(motors[segment.rows()])
+        return lambda segment, _: (on_device(motors[segment.rows()]), None)
     T = on_device(np.asarray(problem.process.tooth_period))
-    span, state = controller.span(T), None
+    span = controller.span(T)
 
-    def follow(segment: PathSegment) -> Float[Array, "row axis"]:
-        nonlocal state
+    def follow(
+        segment: PathSegment, state: PyTree
+    ) -> tuple[Float[Array, "row axis"], PyTree]:
         rows = on_device(motors[segment.rows(behind=span.ahead)])
         if state is None:
             state = _begin_control(controller, rows, T, span.before, span.ahead)
-        followed, state = _control(controller, rows, T, state)
-        return followed
+        return _control(controller, rows, T, state)
 
     return follow
 

@@ -6,7 +6,7 @@ stock, the poses that wait for removal and those that it looks back on.
 """
 
 import dataclasses
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple, TypeAlias
 
 import equinox as eqx
@@ -15,9 +15,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, PyTree
 
-from ..._arrays import on_device
+from ..._arrays import is_traced, on_device
+from ..._padding import LONGEST, whole_parts
 from ...numerics import CachedJit
 from ...process import Process
+from ...toolpath import Path
 from ...workpiece import Rays
 from .._machine.machine import (
     AbstractMachine,
@@ -28,71 +30,11 @@ from .._machine.machine import (
     TurnChips,
     outcome,
 )
+from .checkpoint import RunCheckpoint, RunPlace, SegmentOutputs
+from .path_segments import PathSegment, Segments
 
 # From slots of a ray along x, y and z that are too few to more; None for no more.
 MoreSlots: TypeAlias = Callable[[Sequence[int]], Sequence[int] | None]
-
-
-class PathSegment(NamedTuple):
-    """Some rows of a path that are run together.
-
-    Attributes:
-        first: Row of the path at which they begin, the last of the segment before.
-        row_count: How many of them there are.
-        length: To how many they are padded; all segments of a path have one length.
-        total: Rows of the path.
-    """
-
-    first: int
-    row_count: int
-    length: int
-    total: int
-
-    def rows(self, before: int = 0, behind: int = 0) -> Int[np.ndarray, " row"]:
-        """Rows of the path, with more at either end; the outermost come again.
-
-        Args:
-            before: How many more before the first.
-            behind: How many more behind the last.
-        """
-        rows = np.arange(self.first - before, self.first + self.length + behind)
-        return np.clip(rows, 0, self.total - 1)
-
-    def put(self, path: PyTree, rows: PyTree) -> None:
-        """Put rows of the segment into arrays of the whole path.
-
-        Row 0 of a segment belongs to the one before, if there is one.
-
-        Args:
-            path: Arrays of the path, on the host.
-            rows: Arrays of the segment, in the same tree.
-        """
-        own = min(self.first, 1)
-
-        def put(path: np.ndarray, rows: np.ndarray | Array) -> None:
-            part = np.asarray(rows)[own : self.row_count]
-            path[self.first + own : self.first + self.row_count] = part
-
-        jax.tree.map(put, path, rows)
-
-
-@dataclasses.dataclass(frozen=True)
-class Segments:
-    """Segments of a long path.
-
-    Attributes:
-        total: Rows of the path.
-        length: Rows of a segment; two that follow each other share one.
-    """
-
-    total: int
-    length: int
-
-    def __iter__(self) -> Iterator[PathSegment]:
-        """Segments in the order of the path."""
-        for first in range(0, self.total - 1, self.length - 1):
-            count = min(self.length, self.total - first)
-            yield PathSegment(first, count, self.length, self.total)
 
 
 class SegmentedRun(NamedTuple):
@@ -109,25 +51,70 @@ class SegmentedRun(NamedTuple):
     chips: TurnChips | None
 
 
+class PathRows(NamedTuple):
+    """Rows of a run on the host, filled segment by segment.
+
+    Attributes:
+        command: Returns what the machine is told in a segment, as for `run_segment`,
+            and the state of whoever tells it; called with that behind the segment
+            before, which is None at first.
+        path: Arrays of the whole path, a tree.
+        of_segment: Returns their rows in a segment, from what the machine was told and
+            the segment's run.
+    """
+
+    command: Callable[[PathSegment, PyTree], tuple[PyTree, PyTree]]
+    path: PyTree
+    of_segment: Callable[[PyTree, RunSegment], PyTree]
+
+
+class SegmentPlan(NamedTuple):
+    """Plan of a run in segments, for a path that is long.
+
+    Attributes:
+        periods: Tooth periods of a segment, in whole parts of `scan_rows`; a path of at
+            most so many rows is run whole.
+        on_rows: Called after each segment with the number of rows done.
+        more_slots: Returns the slots with which a segment is run again in which a ray
+            ran out of them.
+        checkpoint: Where finished segments are kept.
+    """
+
+    periods: int = LONGEST
+    on_rows: Callable[[int], None] = lambda count: None
+    more_slots: MoreSlots = lambda counts: None
+    checkpoint: RunCheckpoint = RunCheckpoint()
+
+    def suits(self, path: Path, given: object) -> bool:
+        """True if a path is run in segments: a long one, of which nothing is traced.
+
+        Args:
+            path: The path.
+            given: All that its run depends on.
+        """
+        is_padded = path.row_count is not None
+        return path.step_count > self.periods and not (is_padded or is_traced(given))
+
+    def segments(self, row_count: int) -> Segments:
+        """Segments of a path of so many rows."""
+        return Segments(row_count, whole_parts(self.periods) + 1)
+
+
 def run_in_segments(
     machine: AbstractMachine,
     process: Process,
     segments: Segments,
-    command: Callable[[PathSegment], PyTree],
-    take: Callable[[PathSegment, RunSegment], None],
-    more_slots: MoreSlots,
+    rows: PathRows,
+    plan: SegmentPlan,
 ) -> SegmentedRun:
-    """Run a machine segment by segment.
+    """Run a machine segment by segment, from behind those that a checkpoint has.
 
     Args:
         machine: The machine.
         process: The process.
         segments: The segments of the path.
-        command: Returns what the machine is told in a segment, as for `run_segment`;
-            called in the order of the segments.
-        take: Takes the rows of a segment to the host.
-        more_slots: Returns the slots with which a segment is run again in which a ray
-            ran out of them.
+        rows: The rows of the path, which are filled.
+        plan: How the run is done.
 
     Returns:
         The end of the run.
@@ -136,24 +123,16 @@ def run_in_segments(
     """
     total, dtype = segments.total, np.dtype(process.stock.origin.dtype)
     volume, by_shank = np.zeros((2, total), dtype)
-    has_failed, is_finite = np.zeros(total, bool), True
-    overlap, ran, state, last = 0.0, None, None, 0
+    has_failed, is_finite, overlap = np.zeros(total, bool), True, 0.0
+    like = SegmentOutputs.like(rows.path)
+    place = None
     for segment in segments:
-        told = command(segment)
-        if state is None:
-            state = _begun(machine, process, told)
-        # Its own stock would be carried along beside that of the state.
-        process = eqx.tree_at(lambda p: p.stock, process, state.process.stock)
-        rows = on_device(np.asarray(segment.row_count, np.int32))
-        ran = _segment(machine, process, told, state, rows)
-        while bool(ran.state.process.has_overflow):
-            counts = more_slots(process.stock.interval_counts)
-            if counts is None:
-                break
-            state = _widened(state, counts)
-            process = eqx.tree_at(lambda p: p.stock, process, state.process.stock)
-            ran = _segment(machine, process, told, state, rows)
-        state, removed = ran.state, jax.device_get(ran.removed)
+        outputs = plan.checkpoint.outputs(segment, like)
+        if outputs is None:
+            place = place or _place(machine, process, segments, rows, plan)
+            place, outputs = _ran(machine, process, segment, place, rows, plan)
+            plan.checkpoint.put(segment, outputs, place)
+        removed = outputs.removed
         if segment.first == 0:
             # The first period removes nothing but what the tool stood in.
             overlap = removed.volume[0].sum(dtype=dtype)
@@ -161,14 +140,14 @@ def run_in_segments(
         _add_volumes(volume, segment.first, removed.pose, removed.volume)
         _add_volumes(by_shank, segment.first, removed.pose, removed.by_shank)
         own = slice(segment.first + 1, segment.first + segment.row_count)
-        has_failed[own] = np.asarray(ran.has_failed)[: segment.row_count - 1]
-        counted = [np.asarray(x)[: segment.row_count] for x in (ran.actual, ran.force)]
-        is_finite &= all(np.isfinite(x).all() for x in counted)
-        last = segment.first + segment.row_count - 1
-        take(segment, ran)
-    assert ran is not None and state is not None
-    process = eqx.tree_at(lambda p: p.stock, process, state.process.stock)
-    end = _finished(machine, process, state, ran.standing_count)
+        has_failed[own] = outputs.has_failed[: segment.row_count - 1]
+        is_finite &= bool(outputs.is_finite)
+        segment.put(rows.path, outputs.rows)
+        plan.on_rows(segment.first + segment.row_count)
+    place = place or _place(machine, process, segments, rows, plan)
+    last = total - 1
+    process = _with_stock_of(process, place.state)
+    end = _finished(machine, process, place.state, place.standing_count)
     removed = jax.device_get(end.removed)
     _add_volumes(volume, last, removed.pose, removed.volume)
     _add_volumes(by_shank, last, removed.pose, removed.by_shank)
@@ -181,7 +160,65 @@ def run_in_segments(
         result=outcome(end, jnp.asarray(is_finite)),
     )
     overlap = on_device(np.asarray(overlap, dtype))
-    return SegmentedRun(overlap, removal, machine.chips(state.machine))
+    return SegmentedRun(overlap, removal, machine.chips(place.state.machine))
+
+
+def _place(
+    machine: AbstractMachine,
+    process: Process,
+    segments: Segments,
+    rows: PathRows,
+    plan: SegmentPlan,
+) -> RunPlace:
+    """Where a run begins, or where a checkpoint goes on."""
+    told, teller = rows.command(next(iter(segments)), None)
+    state, none = _begun(machine, process, told), on_device(np.zeros((), np.int32))
+    begun = RunPlace(state, None, none)
+    place = plan.checkpoint.place(RunPlace(state, teller, none))
+    if place is None:
+        return begun
+    counts, wanted = (
+        x.interval_counts for x in (process.stock, place.state.process.stock)
+    )
+    while counts is not None and counts != wanted:
+        # The run until there has asked for more.
+        counts = plan.more_slots(counts)
+    return place
+
+
+def _ran(
+    machine: AbstractMachine,
+    process: Process,
+    segment: PathSegment,
+    place: RunPlace,
+    rows: PathRows,
+    plan: SegmentPlan,
+) -> tuple[RunPlace, SegmentOutputs]:
+    """Where a run is behind a segment, and what it gave in it."""
+    told, teller = rows.command(segment, place.teller)
+    count, state = on_device(np.asarray(segment.row_count, np.int32)), place.state
+    while True:
+        ran = _segment(machine, _with_stock_of(process, state), told, state, count)
+        if not bool(ran.state.process.has_overflow):
+            break
+        counts = plan.more_slots(state.process.stock.interval_counts)
+        if counts is None:
+            break
+        state = _widened(state, counts)
+    counted = [np.asarray(x)[: segment.row_count] for x in (ran.actual, ran.force)]
+    outputs = SegmentOutputs(
+        rows=rows.of_segment(told, ran),
+        removed=ran.removed,
+        has_failed=ran.has_failed,
+        is_finite=np.asarray(all(np.isfinite(x).all() for x in counted)),
+    )
+    place = RunPlace(ran.state, teller, ran.standing_count)
+    return place, jax.device_get(outputs)
+
+
+def _with_stock_of(process: Process, state: RunState) -> Process:
+    """Process with the stock of a state: its own would be carried along beside it."""
+    return eqx.tree_at(lambda p: p.stock, process, state.process.stock)
 
 
 def _widened(state: RunState, counts: Sequence[int]) -> RunState:

@@ -11,7 +11,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ..._arrays import cast_floats, first_rows, has_values, is_traced, on_device
+from ..._arrays import (
+    Arrays,
+    cast_floats,
+    first_rows,
+    has_values,
+    is_traced,
+    on_device,
+)
 from ..._job import Job
 from ..._padding import LONGEST, pad_rows
 from ..._result import RESULTS, SimulationFailed
@@ -36,8 +43,10 @@ from .._machine.machine import PendingRemoval, Removal, Run
 from .._machine.modal import ModalMachine
 from .._machine.quasi_static import QuasiStaticArm
 from .._machine.rigid import Rigid
+from .checkpoint import OnCheckpoint, RunCheckpoint
 from .failure import troubles_of
-from .long_run import Followed, LongRun, SegmentPlan
+from .long_run import Followed, LongRun
+from .segments import SegmentPlan
 from .walls import WallRows
 
 if TYPE_CHECKING:
@@ -269,6 +278,8 @@ def simulate(
     commanded: FloatRows3 | None = None,
     motors: FloatRows | None = None,
     segment_periods: int = LONGEST,
+    on_checkpoint: OnCheckpoint | None = None,
+    resume: Arrays | None = None,
 ) -> Solution:
     """Predict forces, deviation and the machined stock of a job.
 
@@ -288,6 +299,11 @@ def simulate(
         segment_periods: Tooth periods of a segment, rounded up to a multiple of 64. A
             longer path is run in segments: what is compiled, and on the device at once,
             then does not grow with the path. A job that is traced runs whole.
+        on_checkpoint: Called after each segment with plain arrays by name: those that a
+            run needs to go on, beside those of earlier calls that it does not replace,
+            as `dict.update` puts them together.
+        resume: What it was called with in all for the same job, command and segments,
+            to go on from there to the same result.
 
     Returns:
         The solution.
@@ -296,7 +312,8 @@ def simulate(
         SimulationFailed: The outcome is not successful; the message names the time
             and place, and the exception carries the solution.
         ValueError: The precision asked for is not enabled in JAX, `commanded` or
-            `motors` has another shape, or a rigid machine is given motors.
+            `motors` has another shape, a rigid machine is given motors, or `resume` is
+            of other segments.
 
     Differentiability: in all leaves of the job, as `simulate_process`.
     """
@@ -314,7 +331,13 @@ def simulate(
         shape = job.path.step_count, job.robot.joint_count
         motors = _checked(motors, "motors", shape, dtype)
     run = simulate_with_slot_growth(
-        job, commanded, adjoint, tell, motors=motors, segment_periods=segment_periods
+        job,
+        commanded,
+        adjoint,
+        tell,
+        motors=motors,
+        segment_periods=segment_periods,
+        checkpoint=RunCheckpoint(write=on_checkpoint, resume=resume),
     )
     solution = run.solution
     tell("done", 1.0)
@@ -363,6 +386,7 @@ def simulate_with_slot_growth(
     *,
     motors: FloatRows | None = None,
     segment_periods: int = LONGEST,
+    checkpoint: RunCheckpoint = RunCheckpoint(),
 ) -> SolvedJob:
     """Run a job, and again with more slots while its rays need more intervals.
 
@@ -373,6 +397,7 @@ def simulate_with_slot_growth(
         on_progress: Called with a message and the share done.
         motors: As of `simulate`.
         segment_periods: As of `simulate`.
+        checkpoint: Where finished segments are kept, under any name.
 
     Differentiability: as `simulate`; what is traced is run once.
     """
@@ -400,7 +425,8 @@ def simulate_with_slot_growth(
             return more
 
         on_progress(name, first)
-        plan = SegmentPlan(segment_periods, on_rows, more_slots)
+        kept = checkpoint._replace(run=name)
+        plan = SegmentPlan(segment_periods, on_rows, more_slots, kept)
         while True:
             found = run(grown, plan)
             has_room = is_traced(found.result) or not bool(
@@ -560,7 +586,10 @@ def rigid_cut(
     def cut_along(problem: MachiningProblem, before: int = 0) -> Run:
         if is_long:
             on_rows = lambda done: plan.on_rows((before + done) // (1 + has_two))
-            own = plan._replace(on_rows=on_rows)
+            kept = plan.checkpoint
+            if before:
+                kept = kept._replace(run=f"{kept.run} of a true cutter")
+            own = plan._replace(on_rows=on_rows, checkpoint=kept)
             return LongRun(problem, own).cut(np.asarray(tips)[:count], chip_row)
         cut = _cut_along(problem, tips, row)
         return cut.finished(_remove_pending(problem.process, cut.pending()))

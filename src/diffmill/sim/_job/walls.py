@@ -13,7 +13,7 @@ from ...numerics import CachedJit
 from ...process import feed_angles, wall_deviation, wall_shares
 from ...toolpath import contour_error
 from ...workpiece import Stock
-from .segments import Segments
+from .path_segments import Segments
 
 # Rows to either side on which the wall of a row depends: those that the contour error
 # searches, and a turn of the cutter.
