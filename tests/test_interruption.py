@@ -2,6 +2,7 @@
 
 import contextlib
 import errno
+import functools
 import hashlib
 import os
 import signal
@@ -15,7 +16,7 @@ from helpers import names
 from slides_job import write_slides_job
 
 import diffmill as dm
-from diffmill import config, correction, io
+from diffmill import config, correction, io, sim
 from diffmill.cli import main
 
 FOUND = {"method/mirror/command": np.zeros(3)}
@@ -256,6 +257,62 @@ def test_a_signal_ends_a_run_with_what_is_there(
     kept = ["job-correct.checkpoint"] * is_kept
     assert ("keeps what was found: the same command with --resume" in said) == is_kept
     assert names(job.parent) == sorted(["arm.toml", "job.toml", "part.ngc", *kept])
+
+
+def simulate_in_segments(job, monkeypatch, *arguments):
+    """Code of a simulation of a path that counts as long."""
+    simulate = functools.partial(dm.simulate, segment_periods=64)
+    with monkeypatch.context() as patch:
+        patch.setattr(sim, "simulate", simulate)
+        return main(["simulate", "job.toml", *arguments])
+
+
+@pytest.mark.slow
+def test_an_interrupted_simulation_goes_on_behind_its_last_segment(
+    job, monkeypatch, capsys
+):
+    """Also where the last one was damaged; another job or command is refused."""
+    text = job.read_text().replace("[simulation]", "[simulation]\nstability = false")
+    job.write_text(text)
+    assert simulate_in_segments(job, monkeypatch, "--out", "whole") == 0
+    capsys.readouterr()
+    write, count = io.CheckpointFile.write, 0
+
+    def interrupted(file, arrays, parts=()):
+        nonlocal count
+        write(file, arrays, parts)
+        count += 1
+        if count == 6:
+            signal.raise_signal(signal.SIGINT)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(io.CheckpointFile, "write", interrupted)
+        assert simulate_in_segments(job, patch, "--out", "killed") == 1
+    assert "keeps what was found: the same command" in capsys.readouterr().err
+    assert not job.with_name("killed").exists()
+    assert simulate_in_segments(job, monkeypatch, "--out", "killed") == 2
+    assert "--resume goes on from there" in capsys.readouterr().err
+    assert main(["correct", "job.toml", "--out", "killed", "--resume"]) == 2
+    assert "of another job or command" in capsys.readouterr().err
+    job.write_text(text.replace("0.5 m/s^2", "0.4 m/s^2"))
+    assert simulate_in_segments(job, monkeypatch, "--out", "killed", "--resume") == 2
+    assert "of another job or command" in capsys.readouterr().err
+    job.write_text(text)
+    parts = sorted(
+        job.with_name("killed.checkpoint.parts").iterdir(), key=os.path.getmtime
+    )
+    assert len(parts) == 6
+    parts[-1].write_bytes(parts[-1].read_bytes()[:-1])
+    assert simulate_in_segments(job, monkeypatch, "--out", "killed", "--resume") == 0
+    assert "the checkpoint before it is used" in capsys.readouterr().err
+    assert names(job.parent) == ["arm.toml", "job.toml", "killed", "part.ngc", "whole"]
+    found, wanted = (
+        xarray.load_dataset(job.with_name(name) / "result.nc", engine="h5netcdf")
+        for name in ("killed", "whole")
+    )
+    xarray.testing.assert_equal(found, wanted)
+    with np.load("killed/stock.npz") as one, np.load("whole/stock.npz") as other:
+        assert all(np.array_equal(one[name], other[name]) for name in other.files)
 
 
 def test_an_interruption_waits_until_files_have_their_names(tmp_path, monkeypatch):

@@ -210,16 +210,17 @@ def test_a_run_killed_while_it_writes_checkpoints_goes_on_from_a_whole_one(tmp_p
         assert names(tmp_path) == sorted([*inputs, *kept])
 
 
-# Nothing but checkpoints, each of one number as often as fits into a write.
+# Nothing but checkpoints, each of one number as often as fits into a write, and parts.
 KEEPS = """
 import itertools, pathlib
 import numpy as np
 from diffmill import io
 
 file = io.CheckpointFile(pathlib.Path("run.checkpoint"), "job")
-found = file.latest().arrays
+found, _, parts = file.latest()
 for count in itertools.count(1 if found is None else int(found["many"][0]) + 1):
-    file.write({"many": np.full(100_000, count)})
+    parts += (file.add_part({f"rows/{count}": np.full(1000, count)}),)
+    file.write({"many": np.full(100_000, count)}, parts)
     print(count, flush=True)
 """
 
@@ -244,6 +245,8 @@ def test_a_kill_leaves_a_whole_checkpoint(tmp_path):
         latest = file.latest()
         assert latest.arrays is not None and not latest.notes
         (count,) = np.unique(latest.arrays["many"])
+        for row in range(1, count + 1):
+            assert np.all(latest.arrays[f"rows/{row}"] == row)
         # The last one may have got its name before it was told.
         assert count in (told, told + 1)
 

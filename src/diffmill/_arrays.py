@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping
-from typing import Any, TypeAlias, TypeVar
+from typing import TypeAlias, TypeVar
 
 import jax
 import jax.core
@@ -51,8 +51,8 @@ def cast_floats(tree: _Tree, dtype: jnp.dtype) -> _Tree:
 
 
 def named_leaves(
-    tree: PyTree, is_leaf: Callable[[Any], bool] | None = None
-) -> dict[str, Any]:
+    tree: PyTree, is_leaf: Callable[[PyTree], bool] | None = None
+) -> dict[str, PyTree]:
     """Leaves of a tree, named by their place in it.
 
     Args:
