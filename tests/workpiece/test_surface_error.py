@@ -39,6 +39,23 @@ def test_a_floor_too_high_and_a_wall_too_deep_have_their_signs():
     assert found.measures().deepest == 0 and np.isnan(found.deepest_at).all()
 
 
+def test_slabs_of_a_large_part_give_the_distances_of_the_whole(monkeypatch):
+    """Also of points that are farther off than what was first taken around a slab."""
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=3e-3)
+    ideal = stock_of(ball.apply_scale([2, 1, 1]))
+    off = stock_of(ball.apply_translation([0.1e-3, 0.05e-3, 0.3e-3]))
+    far = wp.box([-9e-3, -1e-3, 2e-3], [9e-3, 1e-3, 9e-3], 2 * SPACING)
+    wanted = wp.SurfaceError.of_stocks([off, far], ideal)
+    slabs = "diffmill.workpiece._mesh.surface_error._SLAB_LINES"
+    for count in (500, 100):
+        monkeypatch.setattr(slabs, count)
+        found = wp.SurfaceError.of_stocks([off, far], ideal)
+        for one, other in zip(found, wanted, strict=True):
+            assert np.array_equal(one.points, other.points)
+            np.testing.assert_allclose(one.error, other.error, rtol=0, atol=1e-9)
+            assert np.array_equal(one.is_floor, other.is_floor)
+
+
 def test_the_same_stock_has_no_error():
     stock = wp.box([0, 0, -3e-3], [8e-3, 6e-3, 0], SPACING)
     found = wp.SurfaceError.of_stock(stock, stock)

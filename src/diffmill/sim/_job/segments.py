@@ -132,7 +132,7 @@ def run_in_segments(
             place = place or _place(machine, process, segments, rows, plan)
             place, outputs = _ran(machine, process, segment, place, rows, plan)
             plan.checkpoint.put(segment, outputs, place)
-        removed = outputs.removed
+        removed = jax.tree.map(np.asarray, outputs.removed)
         if segment.first == 0:
             # The first period removes nothing but what the tool stood in.
             overlap = removed.volume[0].sum(dtype=dtype)

@@ -8,18 +8,25 @@ The measure goes one way: a rib of the ideal that was cut off altogether shows o
 the points of its foot.
 """
 
+import dataclasses
+import itertools
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from .._dexel.stock import Stock
+from ..._arrays import on_device
+from .._dexel.stock import Rays, Stock
+from .hermite import inside_nodes
 
 # Rays and ends this close, in spacings, are the same: the grid of a mesh from a file is
 # off by the rounding of its vertices.
 _SAME_SPACINGS = 1e-3
+# Rays of a slab, about, and how many around it know what its borders hide.
+_SLAB_LINES, _BESIDE = 30_000, 8
 
 
 class SurfaceMeasures(eqx.Module):
@@ -113,7 +120,8 @@ class SurfaceError(eqx.Module):
         if not bool(ideal.volume() > 0):
             raise ValueError("Argument `ideal` must hold material, but is empty.")
         surface = _IdealSurface(ideal)
-        return [surface.error(stock, leaves_out_raw) for stock in machined]
+        clouds = [surface.cloud(stock, leaves_out_raw) for stock in machined]
+        return surface.errors(clouds)
 
     @property
     def area_share(self) -> Float[np.ndarray, " n"]:
@@ -170,8 +178,32 @@ def _p95(values: np.ndarray) -> float:
     return float(np.percentile(np.abs(values), 95)) if values.size else math.nan
 
 
+class _Cloud(NamedTuple):
+    """Ends of the rays of a machined stock.
+
+    Attributes:
+        points: The ends [m], shape (end, 3).
+        is_cut: True if a tool cut the end, shape (end,).
+        family: Axis of its ray, shape (end,).
+        bound: Distance to the nearest end of the ideal stock [m], shape (end,).
+    """
+
+    points: Float[np.ndarray, "end 3"]
+    is_cut: Bool[np.ndarray, " end"]
+    family: Int[np.ndarray, " end"]
+    bound: Float[np.ndarray, " end"]
+
+    def where(self, counts: Bool[np.ndarray, " end"]) -> "_Cloud":
+        """Those of the ends that count."""
+        return _Cloud(*(rows[counts] for rows in self))
+
+
 class _IdealSurface:
-    """Surface of the stock that others are compared with."""
+    """Surface of the stock that others are compared with.
+
+    Its mesh takes some hundred times the memory of its rays: it is made of one slab of
+    the stock after the other, each with as much around it as its points are away.
+    """
 
     def __init__(self, ideal: Stock):
         from scipy.spatial import KDTree
@@ -179,13 +211,13 @@ class _IdealSurface:
         self._ends = KDTree(
             np.concatenate([ideal.ray_ends(f).points for f in range(3)])
         )
+        self._ideal = ideal
         self._origin = np.asarray(ideal.origin, np.float64)
         self._rays = [np.asarray(rays.ends) for rays in ideal.families]
         self._spacing = float(ideal.spacing)
-        self._distance = ideal.to_mesh().signed_distance()
 
-    def error(self, machined: Stock, leaves_out_raw: bool) -> SurfaceError:
-        """Distance of every ray end of a stock from the surface."""
+    def cloud(self, machined: Stock, leaves_out_raw: bool) -> _Cloud:
+        """Ends of the rays of a stock that are compared."""
         families = [machined.ray_ends(f) for f in range(3)]
         points = np.concatenate([ends.points for ends in families])
         is_cut = np.concatenate([ends.is_cut for ends in families])
@@ -193,24 +225,77 @@ class _IdealSurface:
         # A film thinner than the spacing, as a cut along the border leaves it, is lost
         # in the mesh; its ends still say where it is, which bounds the distance.
         bound = np.asarray(self._ends.query(points)[0], np.float64)
-        if leaves_out_raw:
-            counts = is_cut | (bound > _SAME_SPACINGS * self._spacing)
-            points, is_cut, family, bound = (
-                rows[counts] for rows in (points, is_cut, family, bound)
-            )
-        error, normal = self._distance(points)
-        error = np.copysign(np.minimum(np.abs(error), bound), error)
-        counts = ~self._runs_along(points, family, error)
-        points, error, normal, is_cut, family = (
-            rows[counts] for rows in (points, error, normal, is_cut, family)
-        )
+        cloud = _Cloud(points, is_cut, family, bound)
+        if not leaves_out_raw:
+            return cloud
+        return cloud.where(is_cut | (bound > _SAME_SPACINGS * self._spacing))
+
+    def errors(self, clouds: Sequence[_Cloud]) -> list[SurfaceError]:
+        """Distances of points from the surface."""
+        found = [(np.empty(len(x.bound)), np.empty_like(x.points)) for x in clouds]
+        axis = int(np.argmax(self._ideal.grid_shape))
+        lines = [
+            (x.points[:, axis] - self._origin[axis]) / self._spacing for x in clouds
+        ]
+        for first, last in self._slabs(axis):
+            parts = [(first <= x) & (x < last) for x in lines]
+            near = [
+                cloud.where(part) for cloud, part in zip(clouds, parts, strict=True)
+            ]
+            distances = self._distances(near, axis, first, last)
+            for (error, normal), part, of_part in zip(
+                found, parts, distances, strict=True
+            ):
+                error[part], normal[part] = of_part
+        return [
+            self._error(cloud, *rows) for cloud, rows in zip(clouds, found, strict=True)
+        ]
+
+    def _slabs(self, axis: int) -> list[tuple[float, float]]:
+        """First and last grid line of each slab; the outermost have no end."""
+        counts = self._ideal.grid_shape
+        across = max(c for a, c in enumerate(counts) if a != axis)
+        count = max(1, counts[axis] * across // _SLAB_LINES)
+        inner = np.linspace(0, counts[axis], count + 1).round()[1:-1]
+        return list(itertools.pairwise([-math.inf, *map(float, inner), math.inf]))
+
+    def _distances(
+        self, clouds: Sequence[_Cloud], axis: int, first: float, last: float
+    ) -> list[tuple[Float[np.ndarray, " end"], Float[np.ndarray, "end 3"]]]:
+        """Distances of points in a slab from the whole surface, and normals."""
+        largest = lambda rows: max(np.abs(x).max(initial=0.0) for x in rows)
+        if not sum(len(cloud.bound) for cloud in clouds):
+            return [(cloud.bound, cloud.points) for cloud in clouds]
+        reach = largest(cloud.bound for cloud in clouds) / self._spacing + 1
+        while True:
+            beside = reach + _BESIDE
+            slab = _slab(self._ideal, axis, first - beside, last + beside)
+            if slab is self._ideal or inside_nodes(slab).any():
+                distance = slab.to_mesh().signed_distance()
+                found = [distance(cloud.points) for cloud in clouds]
+                # Faces of the slab itself are farther away than that.
+                is_found = largest(error for error, _ in found) < reach * self._spacing
+                if slab is self._ideal or is_found:
+                    return found
+            reach *= 2
+
+    def _error(
+        self,
+        cloud: _Cloud,
+        error: Float[np.ndarray, " end"],
+        normal: Float[np.ndarray, "end 3"],
+    ) -> SurfaceError:
+        """Surface error, less that of ends that measure nothing."""
+        error = np.copysign(np.minimum(np.abs(error), cloud.bound), error)
+        counts = ~self._runs_along(cloud.points, cloud.family, error)
+        cloud, error, normal = cloud.where(counts), error[counts], normal[counts]
         return SurfaceError(
-            points=points,
+            points=cloud.points,
             error=error,
             normal=normal,
             is_floor=np.abs(normal[:, 2]) > np.sqrt(0.5),
-            is_cut=is_cut,
-            family=family,
+            is_cut=cloud.is_cut,
+            family=cloud.family,
         )
 
     def _runs_along(
@@ -252,3 +337,26 @@ class _IdealSurface:
         away = np.zeros(len(points))
         away[at] = np.where(np.isfinite(off), off, 0)
         return away
+
+
+def _slab(stock: Stock, axis: int, first: float, last: float) -> Stock:
+    """Part of a stock between two of the grid lines of an axis; all of it as it is."""
+    count = stock.grid_shape[axis]
+    start, stop = (int(np.clip(x, 0, count)) for x in (first, last))
+    if stop - start == count:
+        return stock
+    origin = np.array(stock.origin)
+    low, high = origin[axis] + stock.spacing * np.array([start, stop - 1])
+    origin[axis] = low
+
+    def cut(family: int, rays: Rays) -> Rays:
+        ends, poses = np.asarray(rays.ends), np.asarray(rays.poses)
+        if family == axis:
+            # An interval outside ends where it begins, and is none.
+            return Rays(on_device(np.clip(ends, low, high)), rays.poses)
+        part = [slice(None), slice(None)]
+        part[(axis - family - 1) % 3] = slice(start, stop)
+        return Rays(on_device(ends[tuple(part)]), on_device(poses[tuple(part)]))
+
+    x, y, z = (cut(family, rays) for family, rays in enumerate(stock.families))
+    return dataclasses.replace(stock, families=(x, y, z), origin=on_device(origin))
