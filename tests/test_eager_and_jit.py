@@ -941,6 +941,8 @@ LEFT_OUT = {
         "sim.sensitivity",
         "sim.stability",
         "sim.Stability.*",
+        "sim.stability_lobes",
+        "sim.StabilityLobes.*",
         "sim.ToolContacts.along",
         "sim.Solution.raise_unless_successful",
         "sim.stack",

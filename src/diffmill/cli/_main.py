@@ -194,6 +194,35 @@ def feed(
     )
 
 
+def stability(
+    job: _JobFile,
+    *,
+    speeds: Annotated[
+        tuple[float, ...],
+        tyro.conf.arg(
+            help="Lowest and highest spindle speed [rpm]; 0.6 and 1.5 times the "
+            "program's if not given."
+        ),
+    ] = (),
+    out: _Out = None,
+    force: _Force = False,
+    shown: _Shown = _Display(),
+    allow_outside: _Outside = False,
+) -> int:
+    """Say which depth of cut each spindle speed allows without chatter."""
+    _check_tables(job)
+    from ._stability import run_stability
+
+    return run_stability(
+        job,
+        speeds,
+        out,
+        force=force,
+        progress=shown.progress(),
+        allow_outside=allow_outside,
+    )
+
+
 def campaign(
     file: Annotated[
         tyro.conf.Positional[pathlib.Path],
@@ -508,6 +537,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         "simulate": simulate,
         "correct": correct,
         "feed": feed,
+        "stability": stability,
         "campaign": campaign,
         "identify": identify,
         "learn": learn,

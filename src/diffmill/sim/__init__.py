@@ -28,6 +28,10 @@ from ._analysis.collisions import (
     ToolContacts as ToolContacts,
 )
 from ._analysis.error_band import error_band as error_band
+from ._analysis.lobes import (
+    StabilityLobes as StabilityLobes,
+    stability_lobes as stability_lobes,
+)
 from ._analysis.mismatch import mismatch as mismatch
 from ._analysis.sensitivity import sensitivity as sensitivity
 from ._analysis.stability import (

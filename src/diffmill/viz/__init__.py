@@ -43,6 +43,7 @@ from ._figure.learning import (
     CAUSES as CAUSES,
     write_learning_figures as write_learning_figures,
 )
+from ._figure.lobes import plot_lobes as plot_lobes
 from ._figure.paths import plot_paths as plot_paths
 from ._figure.robot import plot_robot as plot_robot, plot_stiffness as plot_stiffness
 from ._figure.sensitivity import plot_sensitivity as plot_sensitivity

@@ -6,7 +6,10 @@ one is the chip. Rubbing edges are left out, and so is run-out.
 """
 
 import math
+from collections.abc import Iterator
+from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -21,10 +24,25 @@ from .monodromy import Regeneration
 
 # Pieces of a tooth period, and earlier poses that are looked at in one go.
 _PIECES, _CHUNK = 48, 64
-# Parts of a disc.
-_PARTS = 8
+# Parts of a disc, for a quick look and where the depth of the cut counts.
+_PARTS, _LAYERS = 8, 40
 # Older poses stand apart by this share of the radius.
 _APART = 0.03
+
+
+class LayerSlopes(NamedTuple):
+    """Slopes of the force of each tooth by heights on its edge, over a turn.
+
+    Attributes:
+        slopes: In the tip now, of each layer [N/m], shape (piece, tooth, layer, 3, 3);
+            in the tip when the tooth before passed they are the opposite.
+        height: Of the layers above the tip, ascending [m], shape (layer,).
+        lag: Angle by which the helix holds each back [rad], shape (layer,).
+    """
+
+    slopes: Float[np.ndarray, "piece tooth layer 3 3"]
+    height: Float[np.ndarray, " layer"]
+    lag: Float[np.ndarray, " layer"]
 
 
 def quick_slopes(
@@ -43,26 +61,70 @@ def quick_slopes(
 
     Differentiability: none, a host function.
     """
-    # Rows that are taken on the host compile nothing.
-    path = jax.tree.map(np.asarray, path)
-    tips = np.asarray(path.tip)
-    near = [_near_rows(process, tips[: row + 1]) for row in rows]
-    # One shape for all rows.
-    chunks = 2 ** math.ceil(math.log2(max(map(len, near)) / _CHUNK + 1))
     found, delays, periods = [], np.ones(1), process.repeats_after
     if not process.cutter.has_even_pitch:
         delays = np.asarray(process.cutter.delays(np.float64))[0]
-    for row, kept in zip(rows, near, strict=True):
-        at = kept[np.minimum(np.arange(chunks * _CHUNK), len(kept) - 1)]
-        earlier = path[at.reshape(chunks, _CHUNK)]
-        # What only fills the shape is not looked at.
-        count = on_device(np.asarray(math.ceil(len(kept) / _CHUNK), np.int32))
-        slopes = _slopes(process, earlier, count, path[int(row)], periods)
-        slopes = np.asarray(slopes, np.float64)
+    for near in _near(process, path, rows):
+        slopes = np.asarray(_slopes(process, near, periods), np.float64)
+        slopes = slopes.reshape(periods, _PIECES, *slopes.shape[1:])
         if process.cutter.has_even_pitch:
             slopes = slopes.sum(axis=2, keepdims=True)
         found.append([Regeneration(x.sum(axis=1), -x, delays) for x in slopes])
     return found
+
+
+def layer_slopes(
+    process: Process, path: Pose, rows: Int[np.ndarray, " row"], pieces: int
+) -> list[LayerSlopes]:
+    """Return the slopes of the force by layers of the edge, about some rows.
+
+    Args:
+        process: The process.
+        path: Poses at the tooth instants, shape (step, 3).
+        rows: The rows, from 1.
+        pieces: Of a tooth period, in whose middles slopes are taken.
+
+    Returns:
+        The slopes over a turn, for each row.
+
+    Differentiability: none, a host function.
+    """
+    edge = _edge(process, np.dtype(process.stock.origin.dtype), _LAYERS)
+    height, lag = (np.asarray(x, np.float64) for x in (edge.height, edge.lag))
+    return [
+        LayerSlopes(np.asarray(_layers(process, near, pieces), np.float64), height, lag)
+        for near in _near(process, path, rows)
+    ]
+
+
+class _Near(eqx.Module):
+    """A pose of a path, and those before it that it may touch.
+
+    Attributes:
+        now: The pose.
+        earlier: Poses before it, the newest first, shape (chunk, pose, 3).
+        count: Chunks that are looked at, shape ().
+    """
+
+    now: Pose
+    earlier: Pose
+    count: Int[Array, ""]
+
+
+def _near(
+    process: Process, path: Pose, rows: Int[np.ndarray, " row"]
+) -> Iterator[_Near]:
+    """Poses of some rows with those before them, all of one shape."""
+    # Rows that are taken on the host compile nothing.
+    path = jax.tree.map(np.asarray, path)
+    tips = np.asarray(path.tip)
+    near = [_near_rows(process, tips[: row + 1]) for row in rows]
+    chunks = 2 ** math.ceil(math.log2(max(map(len, near)) / _CHUNK + 1))
+    for row, kept in zip(rows, near, strict=True):
+        at = kept[np.minimum(np.arange(chunks * _CHUNK), len(kept) - 1)]
+        # What only fills the shape is not looked at.
+        count = on_device(np.asarray(math.ceil(len(kept) / _CHUNK), np.int32))
+        yield _Near(path[int(row)], path[at.reshape(chunks, _CHUNK)], count)
 
 
 def _near_rows(
@@ -81,15 +143,42 @@ def _near_rows(
 
 @CachedJit
 def _slopes(
-    process: Process, earlier: Pose, count: Int[Array, ""], now: Pose, periods: int
-) -> Float[Array, "period piece tooth 3 3"]:
+    process: Process, near: _Near, periods: int
+) -> Float[Array, "piece tooth 3 3"]:
     """Return the slopes of each tooth's force in the tip, in `work` [N/m]."""
-    cutter = process.cutter
-    edge = _edge(process, now.tip.dtype)
+    push, normal = _pushes(process, near, periods, _PIECES, _PARTS)
+    return jnp.einsum("pjea,pjeb->pjab", push, normal)
+
+
+@CachedJit
+def _layers(
+    process: Process, near: _Near, pieces: int
+) -> Float[Array, "piece tooth element 3 3"]:
+    """Return the same by elements of the edge, over a turn."""
+    push, normal = _pushes(process, near, process.cutter.flute_count, pieces, _LAYERS)
+    return jnp.einsum("pjea,pjeb->pjeab", push, normal)
+
+
+def _pushes(
+    process: Process, near: _Near, periods: int, pieces: int, parts: int
+) -> tuple[
+    Float[Array, "piece tooth element 3"], Float[Array, "piece tooth element 3"]
+]:
+    """Return how the forces of elements grow with their chip [N/m], and normals.
+
+    Args:
+        process: The process.
+        near: The pose and those before it.
+        periods: Tooth periods.
+        pieces: Of each.
+        parts: Of a disc.
+    """
+    cutter, now = process.cutter, near.now
+    edge = _edge(process, now.tip.dtype, parts)
     places = jnp.asarray(cutter.pitch_angles, now.tip.dtype)
     teeth = places.shape[0]
-    pieces = jnp.arange(periods * _PIECES, dtype=places.dtype) + 0.5
-    turn = 2 * math.pi / teeth / _PIECES * pieces[:, None, None]
+    middles = jnp.arange(periods * pieces, dtype=places.dtype) + 0.5
+    turn = 2 * math.pi / teeth / pieces * middles[:, None, None]
     phi = turn + places[None, :, None] - edge.lag[None, None]
     frame = Pose.frame(now.direction())
     e = jnp.stack([jnp.sin(phi), jnp.cos(phi), jnp.zeros_like(phi)], -1) @ frame.T
@@ -99,7 +188,7 @@ def _slopes(
     normal = column(edge.sin_kappa) * e - column(edge.cos_kappa) * a
     tip = now.tip.reshape(1, 1, 1, 3)
     points = tip + column(edge.radius) * e + column(edge.height) * a
-    chip, clearance = _chip_and_clearance(cutter, points, earlier, count)
+    chip, clearance = _chip_and_clearance(cutter, points, near.earlier, near.count)
     h = jnp.clip(chip, 0, cutter.nominal_radius)
     tooth = jnp.broadcast_to(
         jnp.arange(teeth, dtype=jnp.int32)[None, :, None], phi.shape
@@ -110,21 +199,27 @@ def _slopes(
     cuts = (clearance > 0) & _is_inside(process.stock, points)
     width = jnp.where(cuts, edge.width[None, None], 0)
     third = jnp.cross(t, normal)
-    parts = zip((-F_t, -F_r, F_a), (t, normal, third), strict=True)
-    per_chip = sum((width * F)[..., None] * way for F, way in parts)
-    slopes = jnp.einsum("pjea,pjeb->pjab", per_chip, normal)
-    return slopes.reshape(periods, _PIECES, teeth, 3, 3)
+    along = zip((-F_t, -F_r, F_a), (t, normal, third), strict=True)
+    push = jnp.zeros_like(normal)
+    for F, way in along:
+        push = push + (width * F)[..., None] * way
+    return push, normal
 
 
-def _edge(process: Process, dtype: jnp.dtype) -> EdgeElements:
-    """Return the edge elements of a tooth; those on a flat end cut no chip here."""
+def _edge(process: Process, dtype: jnp.dtype, parts: int) -> EdgeElements:
+    """Return the edge elements of a tooth; those on a flat end cut no chip here.
+
+    Args:
+        process: The process.
+        dtype: Type of the numbers.
+        parts: Of a disc, in whose middles slopes are taken.
+    """
     cutter, engagement = process.cutter, process.engagement
     if isinstance(engagement, EdgeElementsInSpace):
         return engagement.profile.elements(cutter, dtype)
     # A share of a disc in the material is a number of its parts.
     discs = engagement.discs
-    parts, height = _PARTS * discs.count, discs.height / _PARTS
-    return cutter.elements(0, 0, parts, height, dtype)
+    return cutter.elements(0, 0, parts * discs.count, discs.height / parts, dtype)
 
 
 def _chip_and_clearance(

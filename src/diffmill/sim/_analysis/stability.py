@@ -210,11 +210,11 @@ class Stability(eqx.Module):
                 f"{rows}."
             )
         engagement = process.engagement
-        path = _poses(arm, joint_positions, is_upright=engagement.is_upright)
+        path = tool_poses(arm, joint_positions, is_upright=engagement.is_upright)
         # The force has its slopes at every angle that is looked at.
         substeps = engagement.angles // process.cutter.flute_count
         slopes = force_slopes(process, path, chosen, substeps)
-        motion = _Motion(motor_positions, joint_positions, path.tip[:step_count])
+        motion = Motion(motor_positions, joint_positions, path.tip[:step_count])
         found = _growth(arm, process, motion, chosen, slopes)
         if is_moving_cut is None:
             is_moving_cut = is_moving(
@@ -244,14 +244,18 @@ class Stability(eqx.Module):
         """
         if job.is_rigid or not job.simulation.mode.vibrates:
             return None
-        rows = _deep_rows(solution)
+        rows = deep_rows(solution)
         if rows.size == 0:
             return None
         job = job.with_precision()
-        machine, process, motion = _machine(job), _process(job), _motion(job, solution)
+        machine, process, motion = (
+            stability_machine(job),
+            stability_process(job),
+            job_motion(job, solution),
+        )
         path = Pose(motion.tips)
         if not process.engagement.is_upright:
-            path = _poses(machine, motion.joints, is_upright=False)
+            path = tool_poses(machine, motion.joints, is_upright=False)
         slopes = quick_slopes(process, path, rows)
         if not _growth(machine, process, motion, rows, slopes).is_unstable.any():
             return None
@@ -286,13 +290,7 @@ def stability(
 
     Differentiability: none, a host function.
     """
-    if job.is_rigid:
-        raise ValueError("Argument `job` must not have a rigid machine, but has.")
-    if not job.simulation.mode.vibrates:
-        raise ValueError(
-            'Argument `job` must have mode "dynamic", but has '
-            f'"{job.simulation.mode.name}", in which nothing vibrates.'
-        )
+    check_vibrates(job)
     job = job.with_precision()
     solution = simulate(job) if solution is None else solution
     is_moving_cut = _moving_cut(solution)
@@ -301,16 +299,31 @@ def stability(
         if cutting.size == 0:
             raise ValueError("Argument `solution` must cut somewhere, but does not.")
         rows = cutting[cutting > 0][:: math.ceil(cutting.size / _ROWS)]
-        rows = np.concatenate([rows, _deep_rows(solution)])
-    motion = _motion(job, solution)
+        rows = np.concatenate([rows, deep_rows(solution)])
+    motion = job_motion(job, solution)
     return Stability.along(
-        _machine(job),
-        _process(job),
+        stability_machine(job),
+        stability_process(job),
         motion.motors,
         motion.joints,
         rows,
         is_moving_cut=is_moving_cut,
     )
+
+
+def check_vibrates(job: Job) -> None:
+    """Raise if the machine of a job cannot vibrate.
+
+    Raises:
+        ValueError: It is rigid, or the job is quasi-static.
+    """
+    if job.is_rigid:
+        raise ValueError("Argument `job` must not have a rigid machine, but has.")
+    if not job.simulation.mode.vibrates:
+        raise ValueError(
+            'Argument `job` must have mode "dynamic", but has '
+            f'"{job.simulation.mode.name}", in which nothing vibrates.'
+        )
 
 
 def _moving_cut(solution: Solution) -> Bool[np.ndarray, " step"]:
@@ -356,7 +369,7 @@ def _with_total(
     )
 
 
-def _deep_rows(solution: Solution) -> Int[np.ndarray, " row"]:
+def deep_rows(solution: Solution) -> Int[np.ndarray, " row"]:
     """Return the rows of the largest chips that last, in shares of the removed volume.
 
     The chip is that of the rigid tool: one that vibrates leaves now more and now less.
@@ -376,7 +389,7 @@ def _deep_rows(solution: Solution) -> Int[np.ndarray, " row"]:
     return np.resize(np.array(deepest), _QUICK_ROWS)
 
 
-def _process(job: Job) -> Process:
+def stability_process(job: Job) -> Process:
     """Return the process of a job with the chip model "near_far", edges along the side.
 
     A bottom edge on a level floor has a chip on one side of a kink and none on the
@@ -386,7 +399,7 @@ def _process(job: Job) -> Process:
     return job_process(dataclasses.replace(job, simulation=settings), FrozenStock())
 
 
-def _machine(job: Job) -> ElasticArm | ModalMachine:
+def stability_machine(job: Job) -> ElasticArm | ModalMachine:
     """Return the machine of a job in its precision."""
     if job.modes is not None:
         return ModalMachine(job.modes)
@@ -394,7 +407,7 @@ def _machine(job: Job) -> ElasticArm | ModalMachine:
     return ElasticArm(job.robot, job.T_base_work)
 
 
-def _motion(job: Job, solution: Solution) -> "_Motion":
+def job_motion(job: Job, solution: Solution) -> "Motion":
     """Return the motion of a solution without the vibrations about it.
 
     The map is that of small ones: a tool that chatters already has grown beyond them.
@@ -402,10 +415,10 @@ def _motion(job: Job, solution: Solution) -> "_Motion":
     tips = _mean_about(solution.commanded, solution.actual)
     if job.modes is not None:
         rows = JobKinematics(job).tool_command
-        return _Motion(rows(solution.commanded), rows(tips), tips)
+        return Motion(rows(solution.commanded), rows(tips), tips)
     motors, joints = solution.motor_positions, solution.joint_positions
     assert motors is not None and joints is not None
-    return _Motion(motors, _mean_about(motors, joints), tips)
+    return Motion(motors, _mean_about(motors, joints), tips)
 
 
 def _mean_about(
@@ -419,7 +432,7 @@ def _mean_about(
     return on_device(np.asarray(command) + mean.astype(actual.dtype))
 
 
-def _poses(
+def tool_poses(
     machine: ElasticArm | ModalMachine,
     positions: Float[Array, "step joint"],
     *,
@@ -439,7 +452,7 @@ def _padded(rows: Float[Array, "step joint"]) -> Float[Array, "padded joint"]:
 
 
 @dataclasses.dataclass(frozen=True)
-class _Motion:
+class Motion:
     """Motors, joints and tips at the tooth instants.
 
     Attributes:
@@ -453,9 +466,9 @@ class _Motion:
     tips: Float[Array, "step 3"]
 
 
-def _linear(
+def linear_machine(
     machine: ElasticArm | ModalMachine,
-    motion: _Motion,
+    motion: Motion,
     rows: Int[np.ndarray, " row"],
     T: float,
 ) -> LinearArm:
@@ -476,7 +489,7 @@ def _linear(
 def _growth(
     arm: ElasticArm | ModalMachine,
     process: Process,
-    motion: _Motion,
+    motion: Motion,
     rows: Int[np.ndarray, " row"],
     slopes: Sequence[Sequence[Regeneration]],
 ) -> Stability:
@@ -485,11 +498,11 @@ def _growth(
     That along whole stretches is left to the caller, who knows where the tool moves.
     """
     T = float(process.tooth_period)
-    arms = _linear(arm, motion, rows, T)
+    arms = linear_machine(arm, motion, rows, T)
     A, G, C = (np.asarray(x, np.float64) for x in (arms.A, arms.G, arms.C))
     gains = [max(period.gain() for period in periods) for periods in slopes]
-    fastest = max(map(_fastest_mode, A, G, C, gains))
-    steps = int(np.clip(math.ceil(_STEPS * T * fastest), _LEAST, _MOST))
+    fastest = max(map(fastest_mode, A, G, C, gains))
+    steps = needed_steps(T, fastest)
     found, free = [], []
     for A_k, G_k, C_k, periods in zip(A, G, C, slopes, strict=True):
         over_step = Step.of(A_k, G_k, T / steps)
@@ -516,7 +529,17 @@ def _growth(
     )
 
 
-def _fastest_mode(
+def needed_steps(tooth_period: float, fastest: float) -> int:
+    """Return the steps of a tooth period in which the fastest mode is followed.
+
+    Args:
+        tooth_period: [s].
+        fastest: Frequency of that mode [Hz].
+    """
+    return int(np.clip(math.ceil(_STEPS * tooth_period * fastest), _LEAST, _MOST))
+
+
+def fastest_mode(
     A: Float[np.ndarray, "state state"],
     G: Float[np.ndarray, "state 3"],
     C: Float[np.ndarray, "3 state"],

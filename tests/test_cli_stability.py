@@ -1,0 +1,62 @@
+"""`diffmill stability`: what it prints, writes and refuses."""
+
+import math
+
+import numpy as np
+import pytest
+import xarray
+from slides_job import JOB, with_machine, write_slides_job
+
+from diffmill import sim
+from diffmill.cli import main
+
+RPM = math.pi / 30
+
+
+@pytest.mark.slow
+def test_lobes_of_a_job_are_written(here, capsys):
+    write_slides_job(here)
+    command = ["stability", "job.toml", "--speeds", "4000", "9000"]
+    assert main(command) == 0
+    said, out = capsys.readouterr().out, here / "job-stability"
+    for part in ("and the limit there", "speeds to prefer", "process damping"):
+        assert part in said
+    assert (out / "summary.txt").read_text() in said
+    assert (out / "lobes.png").stat().st_size > 1000
+    with xarray.open_dataset(out / "result.nc", engine="h5netcdf") as found:
+        np.testing.assert_allclose(found["speed"][[0, -1]], RPM * np.r_[4000, 9000])
+        assert found["limit"].dims == ("place", "speed")
+        assert found["limit"].attrs["units"] == "m"
+        # The program cuts 0.8 mm deep.
+        np.testing.assert_allclose(found["depth"].max(), 0.8e-3, rtol=0.05)
+
+
+def test_a_chattering_program_is_told(here, monkeypatch, capsys):
+    write_slides_job(here)
+    speed = RPM * np.array([6000.0, 8000.0])
+    lobes = sim.StabilityLobes(
+        row=np.array([9]),
+        position=np.array([[1e-3, 2e-3, -1e-3]]),
+        depth=np.array([2e-3]),
+        speed=speed,
+        limit=np.array([[np.inf, 1e-3]]),
+        frequency=np.array([[np.nan, 51.25]]),
+        own_speed=float(speed[1]),
+        deepest=8e-3,
+    )
+    monkeypatch.setattr(sim, "stability_lobes", lambda *_, **__: lobes)
+    assert main(["stability", "job.toml"]) == 0
+    said = capsys.readouterr().out
+    for part in ("CHATTER", "51.2 Hz", "no limit found", "up to 8 mm"):
+        assert part in said
+
+
+def test_what_has_no_lobes_is_refused(here, capsys):
+    file = write_slides_job(here)
+    for speeds in (["9000", "4000"], ["0", "4000"]):
+        assert main(["stability", "job.toml", "--speeds", *speeds]) == 2
+        assert "--speeds: found" in capsys.readouterr().err
+    file.write_text(with_machine(JOB, "[robot]\nrigid = true\n"))
+    assert main(["stability", "job.toml"]) == 2
+    assert "does not vibrate" in capsys.readouterr().err
+    assert not (here / "job-stability").exists()
