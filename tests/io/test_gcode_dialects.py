@@ -189,8 +189,19 @@ def test_a_way_home_between_two_cuts():
     # From above the part a straight way leads to where the place is known again.
     program = parse_gcode(text.format("G0 Z5\n")).of_tool()
     assert [move.end[0] / MM for move in program.timed_moves] == [0, 0, 9, 9]
-    # Out of a cut it would lead through the part.
-    assert faults(text.format("")) == [(3, "G53")]
+    # Out of a cut the tool goes up, across and down again.
+    for way in ("G53 G0 Z0", "G91 G28 Z0\nG90", "G91 G30 Z0\nG90"):
+        program = parse_gcode(text.format("").replace("G53 G0 Z0", way))
+        ends = [[round(v / MM) for v in move.end] for move in program.timed_moves]
+        assert ends == [[0, 0, -1], [0, 0, 30], [9, 9, 30], [9, 9, 5], [9, 9, -1]]
+        assert any("goes up, by an unknown way" in note for note in program.notes)
+    # Behind the last cut there is no such way.
+    assert len(motion("G0 X0 Y0 Z5\nG1 Z-1 F60\nG53 G0 Z0\nM30")) == 2
+    # A cut that depends on it needs the zero, and so does a way to the side.
+    lost = "G0 X0 Y0 Z5\nG1 Z-1 F60\nG53 G0 Z0\nG0 X9 Y9\nG1 X5"
+    assert faults(lost)[0] == (5, "G1")
+    aside = text.format("").replace("G53 G0 Z0", "G91 G28 X0 Y0 Z0\nG90")
+    assert faults(aside)[0] == (3, "G28")
     # A place that is not stated again is no place to cut from.
     lost = "G0 X0 Y0 Z5\nG53 G0 Z0\nG0 X9\n{}"
     for code in ("G1 X5 F60", "G81 X1 Z-1 R1 F60", "G92 Z0", "G28.1", "G10 L20 P1 Z0"):

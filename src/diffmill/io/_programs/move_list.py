@@ -68,6 +68,9 @@ class MoveList:
     _notes: dict[tuple[str, str], _Note] = field(default_factory=dict)
     _lost: set[str] = field(default_factory=set)
     _cycle_moves: float = 0
+    # Moves that have been looked through for the largest z, and that [m].
+    _seen: int = 0
+    _top: float = -math.inf
     # Line of the first motion whose numbers are not known.
     _unknown: int | None = None
 
@@ -141,6 +144,13 @@ class MoveList:
             sentence += "milliseconds on some controllers"
             self.note(f"rest of {duration:g} s", sentence, line)
         return move._replace(rest=move.rest + duration)
+
+    def highest(self) -> float:
+        """Largest z of the moves so far [m]."""
+        new = self.moves[self._seen :]
+        self._top = max([self._top, *(move.end[2] for move in new)])
+        self._seen = len(self.moves)
+        return self._top
 
     def set_speed(self, speed: float) -> None:
         """Set the spindle speed [rad/s]; 0 stops it and sets none."""

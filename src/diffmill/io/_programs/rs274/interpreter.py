@@ -46,6 +46,8 @@ from .words import Word, split_words
 _NOT_COMPENSATED = ("plane", "system", "tool length", "once")
 _NORMALS = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 _CENTRE_WORDS = "IJK"
+# How far a tool goes up that leaves a cut for the zero of the machine [mm].
+_RETRACT = 25.0
 # The planes across x, y and z.
 _PLANES = (190, 180, 170)
 _PROGRAM_NUMBER = re.compile(r"\s*[oO]\s*\d+\s*(\(.*|;.*)?")
@@ -383,16 +385,27 @@ def _return_home(block: Block, state: State, faults: list[Fault]) -> None:
 
 def _leave(axes: str, block: Block, state: State) -> None:
     """Leave by rapid for a place of the machine that is not known."""
-    word = f"G{block.g['once'] // 10}"
+    word, out = f"G{block.g['once'] // 10}", state.out
+    is_cut = out.has_section and not out.moves[-1].is_rapid
+    if axes == "Z" and is_cut and state.compensation is None:
+        sentence = "goes up, by an unknown way; it is taken as a rapid move to "
+        sentence += f"{_RETRACT:g} mm above the highest place so far"
+        out.note(word, sentence, block.line)
+        (x, y, _), start = state.position, metres(state.position)
+        state.position = x, y, 1e3 * out.highest() + _RETRACT
+        end = metres(state.position)
+        state.retract = Move(start, end, is_rapid=True, line=block.line)
+        state.unknown["Z"] = word
+        return
     sentence = (
         "goes to a place of the machine; without its zero ([program] machine_zero in a "
         "job) this way is left out"
     )
-    state.out.note(word, sentence, block.line)
-    if state.out.has_section and not state.out.moves[-1].is_rapid:
+    out.note(word, sentence, block.line)
+    if is_cut and state.retract is None:
         text = block.texts["once"]
         message = f"{NO_MACHINE_ZERO} The tool leaves a cut by it, and cuts again."
-        state.unknown_exits[state.out.tool] = Fault(block.line, text, message)
+        state.unknown_exits[out.tool] = Fault(block.line, text, message)
     lose_place(axes, word, block, state)
 
 

@@ -63,6 +63,7 @@ class State:
         shift: From program coordinates to `work` [mm]; None if to be found anew.
         length: Compensated tool length [mm]; None if it is not known.
         compensation: Compensation of the cutter's radius at work.
+        retract: Way up out of a cut, made before the next move of the tool.
         departure: Where the tool is behind G40, beside the programmed position [m].
     """
 
@@ -96,9 +97,13 @@ class State:
     cycle: Cycle = field(default_factory=Cycle)
     compensation: CutterCompensation | None = None
     departure: Point | None = None
+    retract: Move | None = None
 
     def add(self, move: Move, axes: str) -> None:
         """Add a programmed move."""
+        retract, self.retract = self.retract, None
+        if retract is not None and not self.out.is_approach:
+            self.out.add(retract, "")
         if self.departure is not None:
             if move.centre is not None:
                 message = "the first move behind G40 is straight."
