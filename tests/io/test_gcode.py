@@ -242,7 +242,17 @@ def test_any_arc_is_recovered(radius, start, sweep, turn, use_radius):
         ("T1.5\nG0 X1", 1, "T1.5", "whole number"),
         ("G0 X1\nG41 D1 X2", 2, "G41", "radius of the cutter is not known"),
         ("G0 X1\no1 call", 2, "1", "no routine of this name"),
-        ("G68 X0 Y0 R45\nG0 X1", 1, "G68", "G68 is not supported"),
+        ("G68.2 X0 Y0 Z0 I9\nG0 X1", 1, "G68.2", "no kinematics"),
+        ("G43.4 H1\nG0 X1", 1, "G43.4", "no kinematics"),
+        ("G68 X0 Y0\nG0 X1", 1, "G68", "needs R"),
+        ("G91 G68 X0 Y0 R9\nG0 X1", 1, "G68", "needs the XY plane, G90"),
+        ("G51 X0 Y0 P2000\nG0 X1", 1, "G51", "decimal point"),
+        ("G51 X0 Y0 Z0 P2.\nG0 X1", 1, "G51", "X and Y alone"),
+        ("G51.1\nG0 X1", 1, "G51.1", "needs X or Y"),
+        ("G91 G16\nG0 X1", 1, "G16", "needs the XY plane and G90"),
+        ("G0 X1 Z1\nG91 G81 ^9 R1 Z-2 L3 F9", 2, "L3", "several holes"),
+        ("G0 X1 Y1\n@5 X3", 2, "@5", "has no X or Y"),
+        ("G0 X1\nG68 X0 Y0 R9\nG92 X0", 3, "G92", "does not go with"),
         ("G0 X1\nG10 L1 P1 Z2", 2, "G10", "L2 or L20"),
         ("G0 X1\nG81 X2 Z-1 F9", 2, "G81", "needs its retract plane"),
         ("G0 X1 Z5\nG81 X2 Z3 R1 F9", 2, "G81", "below the bottom"),
@@ -271,9 +281,9 @@ def test_arc_tolerances_are_those_of_linuxcnc():
 
 
 def test_all_faults_are_reported_without_echoes():
-    found = faults("G16\nG2 X1 Z1 I1 F5\nG17 G38.2\nG1 X3\nG62\nG1 X#1\nX9")
+    found = faults("G72\nG2 X1 Z1 I1 F5\nG17 G38.2\nG1 X3\nG62\nG1 X#1\nX9")
     assert [(fault.line, fault.word) for fault in found] == [
-        (1, "G16"),
+        (1, "G72"),
         (3, "G38.2"),
         (5, "G62"),
     ]

@@ -335,3 +335,43 @@ def test_one_of_several_tools_is_chosen():
     assert first.spindle_speeds == pytest.approx((1000 * rpm,))
     with pytest.raises(ValueError):
         program.of_tool(3)
+
+
+@pytest.mark.parametrize(
+    ("text", "ends"),
+    [
+        ("G68 X10 Y0 R90\nX20 Y0\nX10 Y5\nG69\nX0", [(10, 10), (5, 0), (0, 0)]),
+        ("G68 X10 Y0 R90\nG91 X20\nY5", [(0, 20), (-5, 20)]),
+        ("G51 X10 Y0 P2.0\nX5 Y1\nX20\nG50\nX1", [(0, 2), (30, 2), (1, 2)]),
+        ("G51.1 X10\nX5 Y1\nG50.1 X0\nX5", [(15, 1), (5, 1)]),
+        ("G51.1 Y4\nX5 Y1\nX6", [(5, 7), (6, 7)]),
+        ("G51.1 X0 Y0\nX5 Y1", [(-5, -1)]),
+        ("G16\nX10 Y0\nY90\nX5\nG15\nX1 Y1", [(10, 0), (0, 10), (0, 5), (1, 1)]),
+        ("@10 ^90\n^0\n@5\nG91 ^90", [(0, 10), (10, 0), (5, 0), (0, 5)]),
+        # A mirror image of what is turned.
+        ("G68 X0 Y0 R90\nG51.1 X1\nX5 Y0", [(2, 5)]),
+    ],
+)
+def test_turned_scaled_mirrored_and_polar_places(text, ends):
+    found = [row[1:3] for row in motion(f"G0 X0 Y0 Z0\n{text}")[1:]]
+    assert np.array(found) == pytest.approx(np.array(ends), abs=1e-6)
+
+
+def test_arcs_are_turned_scaled_and_mirrored():
+    text = "G0 X0 Y0 Z0\n{}\nG0 X10 Y0\nG2 X20 Y10 {} F60"
+    for words in ("I10 J0", "R10", "G90.1 I20 J0"):
+        for turn, centre, sign in (
+            ("G68 X0 Y0 R90", (0, 20), -1),
+            ("G51 X0 Y0 P.5", (10, 0), -1),
+            ("G51.1 X0", (-20, 0), 1),
+        ):
+            arc = parse_gcode(text.format(turn, words)).moves[-1]
+            assert arc.centre is not None
+            assert np.array(arc.centre[:2]) / MM == pytest.approx(centre, abs=1e-6)
+            assert arc.turn == sign
+            assert abs(arc.sweep) == pytest.approx(math.pi / 2)
+
+
+def test_holes_are_turned_as_well():
+    text = "G0 X0 Y0 Z5\nG68 X0 Y0 R90\nG81 X10 Y0 Z-1 R1 F60\nX20"
+    assert [row[1:3] for row in motion(text) if row[3] == -1] == [(0, 10), (0, 20)]

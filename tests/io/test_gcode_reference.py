@@ -35,7 +35,6 @@ INCH = 25.4e-3
 PLANES = {"XY": (0, 1, 2), "XZ": (2, 0, 1), "YZ": (1, 2, 0)}
 
 REFUSED = {
-    "lcnc_spiral.ngc": (9, "@-.0025^4.5"),
     "tinyg_alpha_full.gcode": (8, "A10"),
 }
 ACCEPTED = [
@@ -47,6 +46,7 @@ ACCEPTED = [
     "lcnc_cam-nisley.ngc",
     "lcnc_cds.ngc",
     "lcnc_comp.ngc",
+    "lcnc_spiral.ngc",
     "ugs_g17-g18-g19.gcode",
     "ugs_no_spaces.gcode",
     "ugs_spiral.gcode",

@@ -16,7 +16,11 @@ _CANCELLING = {
     670: "modal macro",
     690: "rotation",
 }
+# Codes that turn, scale or mirror what follows, in the groups of those that end them.
+_TURNING = {160: "polar coordinates", 510: "scaling", 511: "mirror image"}
+_TURNING[680] = "rotation"
 CANCELLED = frozenset(_CANCELLING.values())
+TURNED = frozenset(_TURNING.values())
 # G codes times ten, by modal group; "once" are those that hold for one block.
 _G_GROUPS = {
     **dict.fromkeys([0, 10, 20, 30, 730, 800, 810, 820, 830, 850, 860, 890], "motion"),
@@ -37,10 +41,11 @@ _G_GROUPS = {
     **dict.fromkeys([980, 990], "retract"),
     1870: "smoothing",
     **_CANCELLING,
+    **_TURNING,
 }
 _M_GROUPS = {
     **dict.fromkeys([0, 1, 2, 30, 60], "end"),
-    **dict.fromkeys([3, 4, 5], "spindle"),
+    **dict.fromkeys([3, 4, 5, 13, 14], "spindle"),
     **dict.fromkeys([6, 61], "tool change"),
     **dict.fromkeys([7, 8, 9], "coolant"),
     **dict.fromkeys([48, 49, 50, 51, 52, 53], "overrides"),
@@ -56,8 +61,10 @@ _WHY_NOT = {
     **dict.fromkeys([50, 52, 53], "write the spline as arcs or lines"),
     **dict.fromkeys([760, 870, 880], "this cycle stops for the spindle or an operator"),
     70: "this is a diameter on a lathe",
+    **dict.fromkeys([434, 435], "no kinematics of axes that turn the tool is given"),
+    **dict.fromkeys([531, 682], "no kinematics of axes that turn the tool is given"),
 }
-_LETTERS = frozenset("NXYZIJKRFSTPQLHD")
+_LETTERS = frozenset("NXYZIJKRFSTPQLHD@^")
 _ROTARY = frozenset("ABC")
 # Words of these codes are no words of a motion.
 _OWN_WORDS = {
@@ -67,13 +74,13 @@ _OWN_WORDS = {
     "smoothing": "PE",
 }
 ALLOWED_WORDS = (
-    "N, G0 to G4, G5.1 Q0, G8, G10 L2 and L20, G13.1, G15, G17 to G21, G28, G28.1, "
-    "G30, G30.1, G40 to G42.1, G43 to G43.2, G49, G50, G50.1, G52 to G59.3, G61, G61.1,"
-    " G64, G67, G69, G73, G80 to G83, G85, G86, G89, G90, G90.1, G91, G91.1, G92 to "
+    "N, G0 to G4, G5.1 Q0, G8, G10 L2 and L20, G13.1, G15 to G21, G28, G28.1, G30, "
+    "G30.1, G40 to G42.1, G43 to G43.2, G49, G50 to G59.3, G61, G61.1,"
+    " G64, G67 to G69, G73, G80 to G83, G85, G86, G89, G90, G90.1, G91, G91.1, G92 to "
     "G92.3, G93 to G99, G187, X, Y, Z, I, J, K, R, P, Q, L, F, S, T, H, D, E, M0 to "
-    "M9, M19, M30, M48 to M53, M60 to M68, M98, M99, G65, A0, B0, C0, a program number "
-    "O, O-words, parameters # with expressions [ ], IF, WHILE, GOTO, block delete /, "
-    "comments ( ) and ;, and a line of % before and after"
+    "M9, M13, M14, M19, M30, M48 to M53, M60 to M68, M98, M99, G65, A0, B0, C0, a "
+    "program number O, O-words, parameters # with expressions [ ], IF, WHILE, GOTO, "
+    "@ and ^, block delete /, comments ( ) and ;, and a line of % before and after"
 )
 
 
@@ -108,6 +115,16 @@ class Block:
             return None
         self.used.add(letter)
         return word.number
+
+    def put(self, letter: str, number: float, text: str) -> None:
+        """Give a letter another number."""
+        self.values[letter] = Word(letter, number, text)
+        self.used.discard(letter)
+
+    def drop(self, letters: str) -> None:
+        """Take words out that a code has made use of, and that are no motion."""
+        for letter in letters:
+            self.values.pop(letter, None)
 
     def axes(self) -> list[str]:
         """Return the letters of linear axes that the block has."""

@@ -16,7 +16,7 @@ from ..limits import FARTHEST, LARGEST_SPEED_RPM
 from ..setup import ProgramSetup
 from ..text import split_lines
 from .arcs import ArcError, Point2, centre_from_offset, centre_from_radius
-from .blocks import ALLOWED_WORDS, CANCELLED, Block, sorted_block
+from .blocks import ALLOWED_WORDS, CANCELLED, TURNED, Block, sorted_block
 from .cycles import CYCLES, run_cycle
 from .macros import MACRO, MacroReader, is_fanuc
 from .offsets import (
@@ -26,6 +26,8 @@ from .offsets import (
     end_compensation,
     offset_axes,
     set_data,
+    set_turns,
+    turn_words,
 )
 from .pace import Pace, find_pace, motion_text, set_feed
 from .state import (
@@ -65,7 +67,7 @@ _NO_MOTION = {
     "signals": "inputs and outputs change no motion, and no wait takes time here",
     "diameter": "X is a radius",
     "smoothing": "corners are as [program] corner_tolerance says",
-    **dict.fromkeys(CANCELLED, "ends what is off here anyway"),
+    **dict.fromkeys(CANCELLED - TURNED, "ends what is off here anyway"),
 }
 
 
@@ -102,6 +104,8 @@ def parse_gcode(
     rows = split_lines(text, name)
     for number, row in enumerate(rows, 1):
         bare = row.strip(" \t\r")
+        if bare == "%" and not (is_first or is_wrapped):
+            is_closed = not any(map(str.strip, rows[number:]))
         if bare == "%" and (is_first or is_wrapped):
             is_closed = is_wrapped
             is_wrapped = True
@@ -133,7 +137,8 @@ def _run_macros(rows: list[str], first: int, state: State, *, is_wrapped: bool) 
     for number, row in enumerate(rows, 1):
         bare = row.strip(" \t\r")
         marks += bare == "%"
-        if marks == 2 and is_wrapped:
+        is_end = bare == "%" and marks == 1 + is_wrapped
+        if is_end and (is_wrapped or not any(map(str.strip, rows[number:]))):
             break
         if bare and not (bare == "%" and is_wrapped):
             if bare[0] == "/" and number >= first:
@@ -144,7 +149,7 @@ def _run_macros(rows: list[str], first: int, state: State, *, is_wrapped: bool) 
     sentence = f"are carried out as {named} ([program] dialect in a job)"
     state.out.note("parameters, loops and calls", sentence, first)
     MacroReader(state, _run_words, dialect).run(kept, first)
-    return marks == 2
+    return marks == 1 + is_wrapped
 
 
 def _undeleted(row: str, number: int, state: State) -> str:
@@ -203,11 +208,13 @@ def _execute(block: Block, state: State, faults: list[Fault]) -> None:
     for word in block.rotary:
         state.out.note(word.text, "the axis does not turn", block.line)
     set_feed(block, state, faults)
+    if "D" in block.values:
+        # Other controls keep it for the next G41 or G42.
+        state.radius_number = block.number("D")
     if "spindle mode" in codes:
         state.is_surface_speed = codes["spindle mode"] == 960
         if state.is_surface_speed:
             state.spindle_rpm = 0.0
-            block.used.add("D")
     if state.compensation is not None:
         _check_compensated(block, state, faults)
     if block.m or "S" in block.values or "T" in block.values:
@@ -216,6 +223,8 @@ def _execute(block: Block, state: State, faults: list[Fault]) -> None:
         _note_codes(block, block.m, "M", state)
     if codes:
         _set_modes(block, state, faults)
+    if state.is_turned or "@" in block.values or "^" in block.values:
+        turn_words(block, state, faults)
     if codes.get("once") not in (None, 40, 530):
         _once(block, state, faults)
     elif codes.get("tool length") != 431:
@@ -252,10 +261,12 @@ def _set_modes(block: Block, state: State, faults: list[Fault]) -> None:
     _note_codes(block, codes, "G", state)
     if "path control" in codes:
         block.used.update("PQ")
+    if "look-ahead" in codes and block.number("Q") != 0:
+        message = "G5.1 is supported as G5.1 Q0, which ends the look-ahead; write a "
+        message += "spline as arcs or lines."
+        faults.append(Fault(block.line, block.texts["look-ahead"], message, True))
     if not CANCELLED.isdisjoint(codes):
-        _check_cancelling(block, faults)
-    if "cutter radius" in codes or "refused" in codes:
-        block.used.add("D")
+        set_turns(block, state, faults)
 
 
 def _check_compensated(block: Block, state: State, faults: list[Fault]) -> None:
@@ -291,7 +302,7 @@ def _check_cancelling(block: Block, faults: list[Fault]) -> None:
 def _note_codes(block: Block, codes: dict[str, int], letter: str, state: State) -> None:
     """Note codes that change no motion."""
     for group, code in codes.items():
-        if group not in _NO_MOTION or (letter == "M" and code in (2, 3, 5, 30)):
+        if group not in _NO_MOTION or (letter == "M" and code in (2, 3, 5, 13, 30)):
             continue
         sentence = _NO_MOTION["surface speed" if code == 960 else group]
         value = code / 10 if letter == "G" else code
@@ -366,6 +377,8 @@ def _return_home(block: Block, state: State, faults: list[Fault]) -> None:
         reference = point_of(1e3 * (a + b) for a, b in places)
     axes = block.axes()
     through = _end_point(block, state, faults)
+    if state.length is None and ("Z" in axes or not axes):
+        reference = None
     if reference is None:
         if through != state.position:
             axes_stated = "" if state.is_incremental else "".join(axes)
@@ -399,7 +412,7 @@ def _leave(axes: str, block: Block, state: State) -> None:
         return
     sentence = (
         "goes to a place of the machine; without its zero ([program] machine_zero in a "
-        "job) this way is left out"
+        "job) and the length of the tool this way is left out"
     )
     out.note(word, sentence, block.line)
     if is_cut and state.retract is None:
@@ -455,7 +468,9 @@ def _move(block: Block, state: State, faults: list[Fault]) -> None:
     is_machine = block.g.get("once") == 530
     if motion in (10, 20, 30) and (state.unknown or state.unknown_exits):
         _require_way(block, state, faults)
-    if is_machine and motion == 0 and state.setup.machine_zero is None:
+    is_known = state.setup.machine_zero is not None
+    is_known &= state.length is not None or "Z" not in axes
+    if is_machine and motion == 0 and not is_known:
         if axes and not state.is_incremental:
             block.used.update(axes)
             _leave("".join(axes), block, state)
@@ -540,6 +555,13 @@ def _cycle(block: Block, state: State, faults: list[Fault]) -> None:
         )
         state.add(move, axes)
 
+    if state.is_incremental and not {"@", "^"}.isdisjoint(block.values):
+        if block.number("L") not in (None, 1):
+            message = "several holes of a polar step are not supported; write a line "
+            message += "for each."
+            faults.append(Fault(block.line, block.values["L"].text, message))
+            block.used.update(block.values)
+            return
     run_cycle(block, state, go, faults)
 
 
@@ -595,6 +617,8 @@ def _arc(
         faults.append(Fault(block.line, block.values["P"].text, message))
         return
     sign = -1 if state.motion == 20 else 1
+    for turn in state.turns.values():
+        sign = -sign if turn.is_mirror else sign
     centre = _centre(block, state, start, end, sign, faults)
     if centre is None:
         return

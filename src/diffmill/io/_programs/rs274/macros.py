@@ -27,16 +27,16 @@ from .words import Word, compact_line, report_unknown, split_words
 
 # What is no plain block: parameters, brackets, O-words, calls and jumps.
 MACRO = re.compile(r"[#\[]|^[^(;]*O|M\s*0*9\s*[89]|G\s*6\s*[567]|^[^(;]*GOTO", re.I)
-_FANUC = re.compile(r"^(?:N\d+)?(?:IF\[|WHILE\[.*DO\d|GOTO|.*G6[56](?!\d))")
+_FANUC = re.compile(r"^(?:N\d+)?(?:IF\[|WH(?:ILE)?\[.*DO\d|GOTO|.*G6[56](?!\d))")
 _NUMBERED = re.compile(r"(?:N\d+(?:\.\d+)?)?")
 _O_WORD = re.compile(
     r"O(\d+|<[^<>]*>|#.*?|\[.*?\])(SUB|ENDSUB|CALL|RETURN|IF|ELSEIF|ELSE|ENDIF|WHILE"
     r"|ENDWHILE|DO|REPEAT|ENDREPEAT|BREAK|CONTINUE)(?=[\[#(]|$)(.*)"
 )
-_PROGRAM = re.compile(r"O(\d+)\(*")
+_PROGRAM = re.compile(r"O(\d+|<[^<>]*>)\(*")
 _JUMP = re.compile(r"(?:IF(\[.*\]))?GOTO(.*)")
 _THEN = re.compile(r"(IF|ELSEIF)(\[.*\])THEN(.*)")
-_LOOP = re.compile(r"(?:WHILE(\[.*\]))?DO(\d+)\(*")
+_LOOP = re.compile(r"(?:WH(?:ILE)?(\[.*\]))?DO(\d+)\(*")
 _SINGLE = re.compile(r"(END\d+|ELSE|ENDIF)\(*")
 _CALL = re.compile(r"(M0*98|G65)(?!\d)")
 _RETURN = re.compile(r"M0*99(?!\d)")
@@ -151,15 +151,15 @@ class MacroReader:
             self._plain(row, line)
 
     def _expression(self, text: str) -> Expression:
-        """Expression of a text that is one operand, such as [#1 GT 2]."""
+        """Expression of a text, such as [#1 GT 2]."""
         parser = Parser(text.rstrip("("), self.parameters.grammar)
-        expression = parser.operand()
+        expression = parser.expression()
         parser.finish()
         return expression
 
     def _expressions(self, text: str) -> list[Expression]:
         """Expressions in brackets, one behind the other."""
-        parser, values = Parser(text.rstrip("("), self.parameters.grammar), []
+        parser, values = Parser(text, self.parameters.grammar), []
         while parser.kind:
             values.append(parser.operand())
         parser.finish()
@@ -179,7 +179,7 @@ class MacroReader:
     def _o_word(self, match: re.Match[str], line: int) -> None:
         """Append the steps of an O-word."""
         label, word, rest = match.groups()
-        code, values = self.code, self._expressions(rest)
+        code, values = self.code, self._expressions(rest.replace("(", ""))
         value = values[0] if values else None
         if word in ("IF", "ELSEIF", "WHILE", "REPEAT") and len(values) != 1:
             raise ExpressionError(match[0], "needed is one value in brackets.")
@@ -279,7 +279,8 @@ class MacroReader:
 
     def _plain(self, row: str, line: int) -> None:
         """Append a line of words."""
-        self.has_words, out = True, self.state.out
+        self.has_words |= bool(compact_line(row, line, []).strip("("))
+        out = self.state.out
         lines: list[_Line] = []
 
         def go(machine: Machine) -> None:
@@ -310,7 +311,7 @@ class MacroReader:
             if value is None:
                 continue
             number = float(value) if isinstance(value, int | float) else math.nan
-            if letter not in "XYZIJKRF" and abs(number - round(number)) < _WHOLE:
+            if letter not in "XYZIJKRF@^" and abs(number - round(number)) < _WHOLE:
                 number = float(round(number))
             if abs(number) > LARGEST_NUMBER:
                 machine.refuse(text, f"its size is beyond {LARGEST_NUMBER:g}.")
@@ -336,7 +337,7 @@ class MacroReader:
                 parser.expect("=")
                 read.assignments.append(_Assignment(variable, parser.expression()))
                 at = parser.at
-            elif text[at].isalpha() and text[at] not in "O":
+            elif text[at] in "@^" or (text[at].isalpha() and text[at] != "O"):
                 parser = Parser(text, self.parameters.grammar, at + 1)
                 number = parser.operand()
                 word = _Written(text[at], number, text[at : parser.at])

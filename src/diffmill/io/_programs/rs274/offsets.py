@@ -1,5 +1,6 @@
-"""Words that move the zero of the program: systems, G92, G10, tool lengths."""
+"""Words that move, turn or scale the places of a program, and the radius of a tool."""
 
+import cmath
 import math
 
 from ....toolpath import Point
@@ -10,6 +11,7 @@ from .compensation import CutterCompensation
 from .state import (
     AXES,
     State,
+    Turn,
     find_shift,
     find_zero,
     lose_place,
@@ -192,7 +194,7 @@ def compensate_radius(block: Block, state: State, faults: list[Fault]) -> None:
             message = "the radius is compensated in the XY plane or the XZ plane."
         faults.append(Fault(block.line, text, message))
         return
-    number = block.number("D")
+    number = state.radius_number
     radius = None
     if code in (411, 421) and number is not None:
         radius = number * state.scale / 2e3
@@ -233,3 +235,129 @@ def _radius_of(tool: int | None, text: str, block: Block, state: State) -> float
         sentence += f"{setup.radius * 1e3:g} mm"
         state.out.note(text, sentence, block.line)
     return setup.radius
+
+
+def set_turns(block: Block, state: State, faults: list[Fault]) -> None:
+    """Apply G15, G16, G50, G50.1, G51, G51.1, G68 and G69."""
+    codes = block.g
+    for group in ("rotation", "scaling", "mirror image"):
+        if group not in codes:
+            continue
+        text = block.texts[group]
+        if codes[group] in (500, 501, 690):
+            if state.turns.pop(group, None) is None:
+                state.out.note(text, "ends what is off here anyway", block.line)
+            # On a lathe G50 sets zeros and limits the spindle.
+            words = {*"XYZS"} & set(block.values)
+            if codes[group] == 501 and "motion" not in codes:
+                block.drop("XYZ")
+            elif words and codes[group] == 500 and "motion" not in codes:
+                message = "it is supported without X, Y, Z and S, as an end."
+                faults.append(Fault(block.line, text, message, True))
+            continue
+        turn, message = _turn_of(codes[group], block, state)
+        block.drop("XYRP")
+        if state.plane != 2 or state.is_incremental or state.compensation is not None:
+            message = "it needs the XY plane, G90 and G40."
+        if turn is not None and not message:
+            state.turns[group] = turn
+            state.out.note(text, "is carried out about its X and Y", block.line)
+        else:
+            faults.append(Fault(block.line, text, message))
+    if "polar coordinates" in codes:
+        if not state.is_polar and codes["polar coordinates"] == 150:
+            state.out.note("G15", "ends what is off here anyway", block.line)
+        state.is_polar = codes["polar coordinates"] == 160
+        if not state.is_polar:
+            return
+        if state.plane != 2 or state.is_incremental:
+            message = "G16 needs the XY plane and G90."
+            faults.append(Fault(block.line, block.texts["polar coordinates"], message))
+
+
+def _turn_of(code: int, block: Block, state: State) -> tuple[Turn | None, str]:
+    """The turn that a code states, or what it lacks."""
+    x, y, angle, factor = (block.number(letter) for letter in "XYRP")
+    if code == 511:
+        centre = complex(x or 0.0, y or 0.0)
+        if x is None and y is None:
+            return None, "G51.1 needs X or Y, the place of its mirror."
+        if None in (x, y):
+            return Turn(centre, -1.0 if y is None else 1.0, is_mirror=True), ""
+        return Turn(centre, -1.0), ""
+    if x is None or y is None:
+        return None, "it needs X and Y, its centre."
+    if code == 680:
+        if angle is None:
+            return None, "G68 needs R, its angle."
+        return Turn(complex(x, y), cmath.rect(1.0, math.radians(angle))), ""
+    # Z stays as it is only where a factor is 1.
+    if factor is None or factor <= 0 or "." not in block.values["P"].text:
+        message = "G51 is supported with a P above 0 and a decimal point (without one, "
+        message += "controls read it as thousandths or not), and no I, J, K."
+        return None, message
+    if "Z" in block.values:
+        return None, "G51 is supported for X and Y alone; Z would be scaled, too."
+    return Turn(complex(x, y), factor), ""
+
+
+def turn_words(block: Block, state: State, faults: list[Fault]) -> None:
+    """Put plain X and Y, I and J in the place of words that are polar or turned."""
+    values, scale = block.values, state.scale
+    is_arc = block.g.get("motion", state.motion) in (20, 30)
+    words = {*"XY@^", *"IJR" * is_arc} & set(values)
+    if {"system", "once"} & set(block.g) and block.g.get("once") not in (40, 530):
+        text = block.texts["system" if "system" in block.g else "once"]
+        message = "it does not go with G16, G51, G51.1 or G68, or with @ and ^."
+        faults.append(Fault(block.line, text, message))
+    if not words or "once" in block.g:
+        return
+    shift = find_shift(block, state, faults)
+    at = complex(state.position[0] - shift[0], state.position[1] - shift[1]) / scale
+    before = at
+    for turn in reversed(state.turns.values()):
+        before = turn.before(before)
+    x, y = block.number("X"), block.number("Y")
+    radius, angle = block.number("@"), block.number("^")
+    is_polar = radius is not None or angle is not None
+    if is_polar and not (x is None and y is None):
+        message = "a polar place (@ and ^) has no X or Y."
+        faults.append(
+            Fault(block.line, values["@" if "@" in values else "^"].text, message)
+        )
+    if state.is_polar and not is_polar:
+        radius, angle, is_polar = x, y, not (x is None and y is None)
+    if is_polar:
+        length, direction = abs(before), math.degrees(cmath.phase(before))
+        if state.is_incremental:
+            radius, angle = length + (radius or 0.0), direction + (angle or 0.0)
+        radius = length if radius is None else radius
+        angle = direction if angle is None else angle
+        place = cmath.rect(radius, math.radians(angle))
+    elif state.is_incremental:
+        place = before + complex(x or 0.0, y or 0.0)
+    else:
+        place = complex(
+            before.real if x is None else x, before.imag if y is None else y
+        )
+    way = complex(block.number("I") or 0.0, block.number("J") or 0.0)
+    length = block.number("R") if is_arc else None
+    for turn in state.turns.values():
+        place = turn.place(place)
+        is_centre = state.is_centre_absolute and {"I", "J"} <= set(values)
+        way = turn.place(way) if is_centre else turn.direction(way)
+        length = None if length is None else length * abs(turn.factor)
+    if {*"XY@^"} & words:
+        require_place(
+            "XY" if len({"X", "Y"} & words) < 2 else "", "", block, state, faults
+        )
+        made = place - at if state.is_incremental else place
+        text = values[min({*"XY@^"} & words)].text
+        block.put("X", made.real, text)
+        block.put("Y", made.imag, text)
+    if {"I", "J"} & words:
+        text = values[min({"I", "J"} & words)].text
+        block.put("I", way.real, text)
+        block.put("J", way.imag, text)
+    if length is not None:
+        block.put("R", length, values["R"].text)

@@ -32,8 +32,9 @@ _EQUAL = 1e-4
 # Numbers of own parameters of a call, and of those that a program may use freely.
 _OWN = {"linuxcnc": 30, "fanuc": 33}
 _FREE = {"linuxcnc": range(1, 5001), "fanuc": range(1, 1000)}
-# Switches of Fanuc controls, and a message: none changes a path.
-_QUIET = {3001, 3002, 3003, 3004, 3006}
+_NUMBERS = range(1, 5603)
+# Switches and messages: none changes a path.
+_QUIET = {"linuxcnc": {5599}, "fanuc": {3001, 3002, 3003, 3004, 3006}}
 
 
 def _number(value: Value) -> float:
@@ -78,7 +79,10 @@ def _operand(parser: Parser) -> Expression | None:
         parser.expect("#")
         name = variable_of(parser).name
         parser.expect("]")
-        return lambda variables: float(name(variables) in variables)
+        # Every parameter with a number that there is has a value.
+        return lambda variables: float(
+            name(variables) in variables or name(variables) in _NUMBERS
+        )
     if not parser.take(("ATAN",)):
         return None
     first, *second = parser.arguments()
@@ -215,7 +219,7 @@ class Parameters:
         state, word = self.state, _text(name)
         if name == 3000 and self.dialect == "fanuc":
             raise ExpressionError(word, "the program raises an alarm here.")
-        if name in _QUIET and self.dialect == "fanuc":
+        if name in _QUIET[self.dialect]:
             state.out.note(word, "changes no path", self.line)
         elif isinstance(name, int) and name not in _FREE[self.dialect]:
             message = "this parameter belongs to the control, and is not set here."

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from ....toolpath import Move, Point
 from ..faults import Fault
@@ -19,6 +20,31 @@ NO_MACHINE_ZERO = (
     "where the machine's zero lies is not known; needed is its place in `work` (in a "
     "job: [program] machine_zero)."
 )
+
+
+class Turn(NamedTuple):
+    """Rotation, scaling or mirror image of places in the XY plane.
+
+    A place p goes to centre + factor (p - centre), in the units of the program; a
+    mirror image takes the conjugate of p - centre.
+    """
+
+    centre: complex
+    factor: complex = 1.0 + 0j
+    is_mirror: bool = False
+
+    def direction(self, way: complex) -> complex:
+        """A way between two places, turned."""
+        return self.factor * (way.conjugate() if self.is_mirror else way)
+
+    def place(self, place: complex) -> complex:
+        """A place, turned."""
+        return self.centre + self.direction(place - self.centre)
+
+    def before(self, place: complex) -> complex:
+        """The place that is turned to a place."""
+        way = (place - self.centre) / self.factor
+        return self.centre + (way.conjugate() if self.is_mirror else way)
 
 
 @dataclass
@@ -60,8 +86,11 @@ class State:
             it, such as "G53".
         unknown_exits: By tool, what is wrong if it cuts again: it has left a cut for a
             place that is not known.
+        turns: What turns, scales or mirrors the places of words in the XY plane, by
+            modal group.
         shift: From program coordinates to `work` [mm]; None if to be found anew.
         length: Compensated tool length [mm]; None if it is not known.
+        radius_number: The last D; None before the first.
         compensation: Compensation of the cutter's radius at work.
         retract: Way up out of a cut, made before the next move of the tool.
         departure: Where the tool is behind G40, beside the programmed position [m].
@@ -91,10 +120,13 @@ class State:
     stored_offset: Point = (0.0, 0.0, 0.0)
     unknown: dict[str, str] = field(default_factory=dict)
     unknown_exits: dict[int | None, Fault] = field(default_factory=dict)
+    is_polar: bool = False
+    turns: dict[str, Turn] = field(default_factory=dict)
     shift: Point | None = None
     length: float | None = 0.0
     length_word: str = ""
     cycle: Cycle = field(default_factory=Cycle)
+    radius_number: float | None = None
     compensation: CutterCompensation | None = None
     departure: Point | None = None
     retract: Move | None = None
@@ -110,6 +142,11 @@ class State:
                 self.out.faults.append(Fault(move.line, "", message))
             move, self.departure = move._replace(start=self.departure), None
         (self.compensation or self.out).add(move, axes)
+
+    @property
+    def is_turned(self) -> bool:
+        """True if words of places are polar, or turned, scaled or mirrored."""
+        return self.is_polar or bool(self.turns)
 
     @property
     def arc_tolerance(self) -> ArcTolerance:

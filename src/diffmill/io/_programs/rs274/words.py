@@ -10,9 +10,9 @@ from ..limits import LARGEST_NUMBER
 
 # No text is a number in two ways, so that a long line of words is read once.
 _NUMBER = r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)"
-_WORD = re.compile(rf"([A-Z])({_NUMBER})")
+_WORD = re.compile(rf"([A-Z@^])({_NUMBER})")
 # A line of words and nothing else, O aside, is split at once.
-_PLAIN = re.compile(rf"(?:[A-NP-Z]{_NUMBER})*")
+_PLAIN = re.compile(rf"(?:[A-NP-Z@^]{_NUMBER})*")
 _MARK = re.compile(r"[();]")
 _BRACKET = re.compile(r"[()]")
 _BLANKS = str.maketrans("", "", " \t\r")
@@ -21,7 +21,7 @@ _LONGEST_LINE = 10_000
 # What a word that is not understood is shown as: up to the next plausible letter.
 _UNKNOWN = re.compile(r"[A-Z]?[^A-Z(]+|[A-Z]")
 _UPPER = str.maketrans(string.ascii_lowercase, string.ascii_uppercase)
-_VALUES = frozenset("XYZIJKRFSTPQLHD")
+_VALUES = frozenset("XYZIJKRFSTPQLHD@^")
 
 
 class Word(NamedTuple):
