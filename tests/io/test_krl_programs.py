@@ -88,6 +88,7 @@ def test_routines_take_values_and_give_them_back(read):
 
 def test_what_does_not_move_is_noted_or_passed_over(tmp_path, faults):
     text = krl("WAIT FOR $IN[3]", "SPINDLE_ON(12000)", "$OUT[3]=TRUE", "LIN {X 1}")
+    text = text.replace("LIN", "IF $IN[4] THEN\n$OUT[4]=TRUE\nENDIF\nLIN")
     assert faults(text) == [(5, "SPINDLE_ON(12000)")]
     file = tmp_path / "part.src"
     file.write_text(text)

@@ -300,12 +300,9 @@ def test_frames_of_rapid_may_share_a_line_with_moves(read, end):
 def test_return_ends_a_program_of_rapid(read):
     moves = ("v50",), ("v50",), "return"
     program = read(rapid_module(*moves), ".mod")
-    ended = read(rapid_module(*moves, ("v50",), "WHILE a DO"), ".mod")
-    assert ended.moves == program.moves
-    assert program.notes == ()
-    assert ended.notes == ("lines 6, 7: RETURN: ends the program before these lines",)
-    with pytest.raises(ProgramError, match="one PROC"):
-        read(rapid_module(*moves) + "PROC other()\n", ".mod")
+    assert read(rapid_module(*moves, ("v50",)), ".mod").moves == program.moves
+    with pytest.raises(ProgramError, match="which of several PROCs"):
+        read(rapid_module(*moves).replace("main", "a") + "PROC b()\nENDPROC\n", ".mod")
 
 
 @pytest.mark.parametrize(
@@ -383,7 +380,7 @@ H = "PTP {X 0,Y 0,Z 0,A 0,B 0,C 180}"
         (".src", "DEF a( )\n$VEL.CP=1\nLIN_REL {X 1}\nEND", 3),
         (".src", "DEF a( )\n$VEL.CP=FAST\nEND", 2),
         (".mod", "MODULE a\nVAR robtarget q;\nMoveL q,v50,z1,tool0;", 3),
-        (".mod", "MODULE a\nPROC main()\nIF a=1 THEN\nENDPROC\nENDMODULE", 3),
+        (".mod", "MODULE a\nPROC main()\nIF a=1 THEN\nENDPROC\nENDMODULE", 4),
         (".mod", "MODULE a\nPROC main()\nMoveL p9,v50,z1,tool0;\nENDPROC", 3),
         (".apt", "PARTNO/A\nGOTO/1,2\n", 2),
         (".apt", "PARTNO/A\nLOOPST\n", 2),

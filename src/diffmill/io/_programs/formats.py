@@ -3,7 +3,7 @@
 import math
 import os
 import pathlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from ...toolpath import Path, Program, sample_program
 from .._path_csv import read_path_csv, write_path_csv
@@ -32,6 +32,8 @@ PROGRAM_FORMATS = {
 }
 # With which a program without its own times becomes a path: those of a job.
 _PERIOD = 4e-3
+# Modules of a task that are looked through.
+_MOST_MODULES = 30
 _ACCELERATION = 2.0
 _RAPID_FEED = 0.2
 
@@ -84,10 +86,38 @@ def _parsed(text: str, path: pathlib.Path, setup: ProgramSetup) -> Program:
         more = setup.pass_over
         return parse_krl(text, data, name=path.name, tool_axis=axis, pass_over=more)
     if suffix in RAPID:
-        return parse_rapid(text, name=path.name, tool_axis=axis)
+        return _rapid(text, path, setup)
     if suffix in APT:
         return parse_apt(text, name=path.name)
     return parse_gcode(text, name=path.name, setup=setup)
+
+
+def _rapid(text: str, path: pathlib.Path, setup: ProgramSetup) -> Program:
+    """Return the program of a module, with those beside it if it needs them."""
+
+    def parse(modules: Mapping[str, str]) -> Program:
+        more = setup.pass_over
+        axis: ToolAxis = setup.tool_axis or "z"
+        return parse_rapid(
+            text, name=path.name, tool_axis=axis, pass_over=more, modules=modules
+        )
+
+    try:
+        return parse({})
+    except ProgramError:
+        beside = [
+            one
+            for one in sorted(path.parent.iterdir())
+            if one.suffix.lower() in (*RAPID, ".sys") and one.name != path.name
+        ]
+        if not beside or len(beside) > _MOST_MODULES:
+            raise
+        try:
+            return parse({one.name: read_text(one) for one in beside if one.is_file()})
+        except ProgramError:
+            # What is wrong with this module says more than what is with them all.
+            pass
+        raise
 
 
 def _tool_axis_problem(suffix: str, axis: ToolAxis | None) -> str:

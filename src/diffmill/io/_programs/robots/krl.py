@@ -40,7 +40,7 @@ from ..limits import LARGEST_NUMBER, bounded_number, fault_of_statement
 from ..text import split_lines
 from .krl_frames import KrlFrames, is_known, numbered_base
 from .krl_values import KrlValues
-from .reader import ExternalAxes, Reader
+from .reader import Branch, ExternalAxes, Reader
 
 _COMPONENT = re.compile(rf"\s*([A-Z]\d?)\s+({NUMBER})\s*", re.IGNORECASE)
 # Speed of the tip, alone or with the speeds at which the tool turns.
@@ -190,7 +190,7 @@ class _Krl(Reader):
         try:
             value = float(text)
         except ValueError:
-            return self.known.number(text)
+            return self.known.texts.number(text)
         return value if abs(value) <= LARGEST_NUMBER else math.nan
 
 
@@ -266,11 +266,12 @@ def _compile(row: str, line: int, reader: _Krl) -> None:
     """Append a line to the code."""
     code, known = reader.code, reader.known
     if _MOTION.match(row):
+        reader.let_matter()
         code.plain(line, lambda machine: _carry_out(row, line, reader))
         return
     word = re.split(r"[\s(]", row, maxsplit=1)[0].upper()
     match = _CONDITION.fullmatch(row)
-    value = known.expression(match[2]) if match else None
+    value = known.texts.expression(match[2]) if match else None
     if routine := _ROUTINE.fullmatch(row):
         if reader.routine:
             code.end_routine(line)
@@ -285,29 +286,35 @@ def _compile(row: str, line: int, reader: _Krl) -> None:
             code.end_routine(line)
         reader.routine = ""
     elif word == "RETURN":
+        reader.let_matter()
         code.give_back(line, value)
     elif match and word in ("IF", "WHILE") and value is not None:
+        reader.branches.append(Branch(line))
+        value = reader.condition(value)
         (code.begin_if if word == "IF" else code.begin_loop)(line, value)
     elif loop := _FOR.fullmatch(row):
         try:
-            counter = known.place(loop[1])
+            counter = known.texts.place(loop[1])
         except ExpressionError as error:
             reader.refuse(line, row, str(error))
             return
         first, last, step = (
-            known.expression(one) if one else None for one in loop.groups()[1:]
+            known.texts.expression(one) if one else None for one in loop.groups()[1:]
         )
         assert first is not None and last is not None
         code.begin_for(line, counter, first, last, step)
     elif word in ("REPEAT", "LOOP"):
         code.begin_loop(line, kind="repeat" if word == "REPEAT" else "do")
     elif match and word == "UNTIL":
-        code.end(line, ("repeat",), again=known.expression(f"NOT ({match[2]})"))
+        code.end(line, ("repeat",), again=known.texts.expression(f"NOT ({match[2]})"))
     elif word == "ELSE":
         code.otherwise(line)
     elif word in _ENDS:
+        if word in ("ENDIF", "ENDWHILE"):
+            del reader.branches[-1:]
         code.end(line, (_ENDS[word],))
     elif word == "EXIT":
+        reader.let_matter()
         code.leave(line)
     elif match and word == "SWITCH":
         reader.switches.append([match[2]])
@@ -317,11 +324,14 @@ def _compile(row: str, line: int, reader: _Krl) -> None:
         if len(reader.switches.pop()) > 1:
             code.end(line, ("if",))
     elif match and word == "GOTO":
+        reader.let_matter()
         number = reader.labels.setdefault(match[2].upper(), len(reader.labels))
         code.jump(line, lambda variables: number)
     elif label := _LABEL.fullmatch(row):
         code.label(reader.labels.setdefault(label[1].upper(), len(reader.labels)))
     else:
+        if not (_QUIET.fullmatch(row) or word in ("WAIT", *reader.pass_over)):
+            reader.let_matter()
         code.plain(line, lambda machine: _carry_out(row, line, reader))
 
 
@@ -329,7 +339,7 @@ def _compile_case(values: str, line: int, reader: _Krl) -> None:
     """Append a case of a SWITCH, or its DEFAULT."""
     switch = reader.switches[-1]
     tests = [f"(({switch[0]}) == ({one}))" for one in split_arguments(values) if one]
-    condition = reader.known.expression(" OR ".join(tests) or "TRUE")
+    condition = reader.known.texts.expression(" OR ".join(tests) or "TRUE")
     if len(switch) == 1:
         reader.code.begin_if(line, condition)
     else:
@@ -468,7 +478,7 @@ def _call(match: re.Match[str], line: int, reader: _Krl) -> bool:
         if not text:
             continue
         try:
-            own[parameter] = reader.known.value(text)
+            own[parameter] = reader.known.texts.value(text)
         except ExpressionError as error:
             # What a routine gives back needs no value before.
             if parameter not in reader.returned[name]:

@@ -16,13 +16,12 @@ from ..expressions import (
     Name,
     Parser,
     Value,
-    Variable,
     Variables,
-    evaluated,
     split_arguments,
 )
 from ..geometry import abc_of_rotation, rotation_of_abc
-from ..limits import LARGEST_NUMBER, MOST_VALUES
+from ..limits import MOST_VALUES
+from .texts import Texts
 
 _TOKEN = re.compile(
     r"\s*(?:(?P<number>(?:\d+\.?\d*|\.\d+)(?:E[+-]?\d+)?)"
@@ -154,6 +153,7 @@ class KrlValues:
 
     Attributes:
         variables: Their values.
+        texts: Expressions of them.
     """
 
     def __init__(
@@ -165,7 +165,7 @@ class KrlValues:
         # Places of a controller's own arrays, filled where a program does so.
         for name in ("BASE_DATA", "TOOL_DATA"):
             self.variables.declare(name, [None] * 128, is_shared=True)
-        self._grammar = Grammar(
+        grammar = Grammar(
             token=_TOKEN,
             # The operators of comparison bind least of all.
             binary=(
@@ -208,52 +208,8 @@ class KrlValues:
             operand=_operand,
             call=call,
         )
-        self._parsed: dict[str, Expression] = {}
+        self.texts = Texts(self.variables, grammar)
         self._types = dict(_TYPES)
-
-    def expression(self, text: str) -> Expression:
-        """Expression of a text; what is wrong with it is told when it is evaluated."""
-
-        def value(variables: Variables) -> Value:
-            known = self._parsed.get(text)
-            if known is None:
-                parser = Parser(text, self._grammar)
-                known = parser.expression()
-                parser.finish()
-                if len(self._parsed) < MOST_VALUES:
-                    self._parsed[text] = known
-            return known(variables)
-
-        return value
-
-    def place(self, text: str) -> Variable:
-        """Place in which a value is kept.
-
-        Raises:
-            ExpressionError: If it is none.
-        """
-        parser = Parser(text, self._grammar)
-        place = parser.variable()
-        parser.finish()
-        return place
-
-    def value(self, text: str) -> Value:
-        """Value of an expression.
-
-        Raises:
-            ExpressionError: If it has none.
-        """
-        return evaluated(self.expression(text), self.variables)
-
-    def number(self, text: str) -> float:
-        """Value of an expression that is a number; NaN if it has none, or too large."""
-        try:
-            value = self.value(text)
-        except ExpressionError:
-            return math.nan
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            return math.nan
-        return float(value) if abs(value) <= LARGEST_NUMBER else math.nan
 
     def frame(self, text: str) -> Frame | None:
         """Components of a place that an expression is; None if it is none."""
@@ -261,7 +217,7 @@ class KrlValues:
         try:
             # Most are names.
             is_name = name in self.variables
-            value = self.variables.get(name) if is_name else self.value(text)
+            value = self.variables.get(name) if is_name else self.texts.value(text)
         except ExpressionError:
             return None
         return components_of(value)
@@ -309,7 +265,9 @@ class KrlValues:
                 if own[name] is not None:
                     self.put(name, own[name])
                 continue
-            start = None if value is None else _typed(kind, None, self.value(value))
+            start = (
+                None if value is None else _typed(kind, None, self.texts.value(value))
+            )
             if item[2] and value is not None:
                 self.put(f"{name}{item[2]}", start)
                 continue
@@ -340,12 +298,12 @@ class KrlValues:
         match = _ASSIGNMENT.fullmatch(row)
         if match is None:
             return False
-        self.put(match[1], self.value(match[2]))
+        self.put(match[1], self.texts.value(match[2]))
         return True
 
     def put(self, text: str, value: Value) -> None:
         """Put a value to a place: a variable, an element or a component."""
-        variables, place = self.variables, self.place(text)
+        variables, place = self.variables, self.texts.place(text)
         name = place.name(variables)
         kind = ""
         if f"type {name}" in variables:

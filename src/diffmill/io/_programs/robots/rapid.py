@@ -1,23 +1,34 @@
-"""ABB RAPID: plain motion of one module.
+"""ABB RAPID: motion of a module, and of those beside it that it uses.
 
-Read are robtarget, speeddata and constants of them, MoveL, MoveC, MoveJ and MoveAbsJ,
-Offs, speeds with V or T and under VelSet, zones, tools and work objects, WaitTime, and
-comments.
+Read are routines with parameters, loops and branches on what the program itself knows,
+MoveL, MoveC, MoveJ and MoveAbsJ, Offs, RelTool, speeds with V or T and under VelSet,
+zones, tools and work objects, WaitTime.
 """
 
 import dataclasses
 import functools
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from ....toolpath import Point, Program
-from ..expressions import NUMBER, split_arguments, value_of
-from ..faults import SHOWN_FAULTS
+from ..control import Code, Machine
+from ..expressions import (
+    NUMBER,
+    Expression,
+    ExpressionError,
+    Name,
+    Value,
+    Variable,
+    Variables,
+    split_arguments,
+)
+from ..faults import SHOWN_FAULTS, Fault
 from ..geometry import (
     ToolAxis,
     ToolPlace,
@@ -27,66 +38,126 @@ from ..geometry import (
     tool_place,
     tool_rotation,
 )
-from ..limits import bounded_number, fault_of_statement
+from ..limits import LARGEST_NUMBER, bounded_number, fault_of_statement
 from ..text import split_lines
-from .reader import ExternalAxes, Reader
+from .rapid_values import (
+    LEAST_QUATERNION,
+    declared,
+    made,
+    numbers_of,
+    record_of,
+    texts_of_rapid,
+)
+from .reader import Branch, ExternalAxes, Reader
 
 _DECLARED = re.compile(
-    r"(?:(?:LOCAL|TASK)\s+)?(?:CONST|PERS|VAR)\s+(\w+)\s+(\w+)\s*(?:\{\s*(\d+)\s*\})?"
+    r"(?:(?:LOCAL|TASK)\s+)*(?:CONST|PERS|VAR)\s+(\w+)\s+(\w+)\s*(?:\{([^{}]*)\})?"
     r"\s*(?::=\s*(.*))?",
     re.IGNORECASE | re.DOTALL,
 )
-_MOVE = re.compile(r"(MoveL|MoveJ|MoveC|MoveAbsJ)\s+(.*)", re.IGNORECASE | re.DOTALL)
-_OFFSET = re.compile(r"(Offs|RelTool)\s*\((.*)\)", re.IGNORECASE | re.DOTALL)
-_TURN = re.compile(r"\\(R[xyz])\s*:=\s*([^\\,]+)", re.IGNORECASE)
-_ASSIGNED = re.compile(r"(\w+(?:\{\d+\})?)\s*:=\s*(.*)", re.DOTALL)
-_COMPONENT = re.compile(r"(\w+)\.trans\.([xyz])\s*:=\s*(.*)", re.IGNORECASE)
+_MOVE = re.compile(
+    r"(MoveL|MoveJ|MoveC|MoveAbsJ)\b\s*(?:\\Conc\s*,)?\s*(.*)",
+    re.IGNORECASE | re.DOTALL,
+)
+_ASSIGNED = re.compile(r"(\w+(?:\s*[{.][^:]*)?)\s*:=\s*(.*)", re.DOTALL)
+_CALL = re.compile(r"([A-Z]\w*)\s*(.*)", re.IGNORECASE | re.DOTALL)
+_FOR = re.compile(
+    r"FOR\s+(\w+)\s+FROM\s+(.+?)\s+TO\s+(.+?)(?:\s+STEP\s+(.+?))?\s+DO", re.IGNORECASE
+)
+_HEAD = re.compile(
+    r"(IF|ELSEIF|WHILE|TEST|CASE)\b\s*(.+?)\s*(?:THEN|DO|:)?", re.IGNORECASE
+)
+_ROUTINE = re.compile(
+    r"(?:LOCAL\s+)?(PROC|FUNC\s+\w+|TRAP)\s+(\w+)\s*(?:\((.*)\))?",
+    re.IGNORECASE | re.DOTALL,
+)
+_ENDS = {"ENDIF": "if", "ENDWHILE": "while", "ENDFOR": "for"}
 _SPEED = re.compile(r"v(\d+)", re.IGNORECASE)
 _OPTION = re.compile(r"\\(V|T)\s*:=\s*([^\\]*)", re.IGNORECASE)
 _OVERRIDE = re.compile(r"VelSet\s+(.*)", re.IGNORECASE | re.DOTALL)
 _WORK_OBJECT = re.compile(r"\\WObj\s*:=\s*(\w+)", re.IGNORECASE)
 # What no semicolon ends; a statement may follow it in its line.
 _FRAME = re.compile(
-    r"\s*(?:MODULE\s+\w+(?:\s*\([^()]*\))?|PROC\s+\w+\s*\([^()]*\)"
-    r"|(?:ENDMODULE|ENDPROC)\b|%%%|VERSION\s*:\s*1\b|LANGUAGE\s*:\s*ENGLISH\b)\s*",
+    r"\s*(?:%%%|VERSION\s*:\s*1\b|LANGUAGE\s*:\s*ENGLISH\b|MODULE\s+\w+(?:\s*\([^()]*\))?"
+    r"|(?:LOCAL\s+)?(?:PROC|FUNC\s+\w+)\s+\w+\s*\([^()]*\)|TRAP\s+\w+"
+    r"|(?:END(?:MODULE|PROC|FUNC|TRAP|IF|WHILE|FOR|TEST)|ELSE|ERROR|UNDO|BACKWARD)\b"
+    r"|(?:IF|ELSEIF)\b[^;]*?\bTHEN\b|(?:WHILE|FOR)\b[^;]*?\bDO\b"
+    r"|(?:CASE\b[^:]*|DEFAULT|\w+)\s*:(?!=)|TEST\b[^;]*?(?=\s*$|\bCASE\b))\s*",
     re.IGNORECASE,
 )
 # What cannot change tool, place or arm; whatever is not among it is refused. That the
 # controller may choose another way for its joints is left to the robot of a job.
 _QUIET = re.compile(
     r"(SetDO|SetGO|SetAO|Set|Reset|PulseDO|TPWrite|TPErase|ConfL|ConfJ|SingArea"
-    r"(?=\s*\\(?:Off|Wrist)\b)|AccSet|WaitRob|Stop|ClkReset|ClkStart|ClkStop)\b.*",
+    r"(?=\s*\\(?:Off|Wrist)\b)|AccSet|WaitRob|Stop|ClkReset|ClkStart|ClkStop|SyncMoveOn"
+    r"|SyncMoveOff|WaitSyncTask|WaitDI|WaitDO|WaitUntil|TPReadFK|GripLoad|Break"
+    r"|CirPathMode|PathAccLim)\b.*",
     re.IGNORECASE | re.DOTALL,
 )
 _WRIST = re.compile(r"SingArea\s*\\Wrist", re.IGNORECASE)
 _EXTERNAL = tuple(f"external axis {letter}" for letter in "abcdef")
-_WAIT = re.compile(rf"WaitTime\s*(?:\\InPos\s*,\s*)?({NUMBER})", re.IGNORECASE)
+_WAIT = re.compile(r"WaitTime\s*(?:\\InPos\s*,\s*)?(.+)", re.IGNORECASE)
+# Types of what a motion needs.
+_OF_MOTION = frozenset(
+    ["ROBTARGET", "SPEEDDATA", "NUM", "DNUM", "POS", "POSE", "ORIENT"]
+)
 # Speed of the predefined vmax [m/s].
 _VMAX = 5.0
-# A controller wants a length of 1.
-_LEAST_QUATERNION = 1e-3
 
 
 class _Rapid(Reader):
     """State of the reader of RAPID."""
 
-    def __init__(self, tool_axis: ToolAxis) -> None:
+    def __init__(
+        self, name: str, tool_axis: ToolAxis, pass_over: Sequence[str]
+    ) -> None:
         super().__init__(tool_axis=tool_axis)
-        self.targets: dict[str, list[float]] = {}
-        self.speeds: dict[str, float] = {"vmax": _VMAX}
-        self.numbers: dict[str, float] = {}
+        self.out.name = name
+        self.pass_over = frozenset(one.upper() for one in pass_over)
+        self.texts = texts_of_rapid(self._missing, self._result)
+        self.code = Code()
+        self.machine = Machine(self.code, self.texts.variables, name, self.faults)
+        self.routine, self.kinds, self.is_running = "", dict[str, str](), False
+        # Of the TEST blocks that are open: what each compares, and its cases.
+        self.tests: list[list[str]] = []
+        # Names of the parameters of each routine that go back to its call.
+        self.returned: dict[str, tuple[str, ...]] = {}
+        self.labels: dict[str, int] = {}
         self.frame: str | None = None
         # The work object that motions name.
         self.work_object: str | None = None
         self.tool_data: dict[str, _Data] = {}
         self.work_objects: dict[str, _Data] = {"wobj0": _Data(True, _IDENTITY_FRAME)}
         self.external_axes = ExternalAxes()
-        self.procedures, self.has_returned = 0, False
         # Numbers of tools by name, in the order in which motions use them.
         self.tools: dict[str, int] = {}
         self.first_tool, self.first_line = "", 0
         # Share of a programmed speed, and the largest that is left of it [m/s].
         self.override, self.fastest = 1.0, math.inf
+
+    def _missing(self, name: Name) -> Value:
+        raise ExpressionError(str(name), "the program does not state its value.")
+
+    def _result(self, name: str, arguments: list[Expression]) -> Expression:
+        """Value that a function gives back."""
+
+        def value(variables: Variables) -> Value:
+            routine = self.code.routines.get(name)
+            if routine is None:
+                raise ExpressionError(name, "the program has no such function.")
+            values = [argument(variables) for argument in arguments]
+            own: dict[Name, Value] = dict(zip(routine.parameters, values, strict=False))
+            return self.machine.result_of(name, own)
+
+        return value
+
+    def number(self, text: str) -> float:
+        """Value of a number or of an expression; NaN if it has none, or too large."""
+        try:
+            value = float(text)
+        except ValueError:
+            return self.texts.number(text)
+        return value if abs(value) <= LARGEST_NUMBER else math.nan
 
 
 # Place and quaternion of a frame that is its parent.
@@ -122,7 +193,12 @@ class _Data(NamedTuple):
 
 
 def parse_rapid(
-    text: str, *, name: str = "program.mod", tool_axis: ToolAxis = "z"
+    text: str,
+    *,
+    name: str = "program.mod",
+    tool_axis: ToolAxis = "z",
+    pass_over: Sequence[str] = (),
+    modules: Mapping[str, str] = MappingProxyType({}),
 ) -> Program:
     """Return the moves of a RAPID module.
 
@@ -130,16 +206,38 @@ def parse_rapid(
         text: The module.
         name: Name for messages.
         tool_axis: Axis of the controller's tool that points from the shank to the tip.
+        pass_over: Names of routines of other files that move nothing.
+        modules: Texts of other modules of the task, by the names of their files.
 
     Raises:
         ProgramError: If anything but plain motion is found; up to 20 faults.
     """
-    reader = _Rapid(tool_axis)
-    reader.out.name = name
-    for line, statement in _statements(split_lines(text, name)):
-        _statement(statement, line, reader)
-        if len(reader.faults) > SHOWN_FAULTS:
-            break
+    reader = _Rapid(name, tool_axis, pass_over)
+    rows = split_lines(text, name)
+    for line, statement in _statements(rows):
+        _compile(statement, line, reader)
+    begun = len(rows)
+    for other, more in modules.items():
+        sentence = f"is used too; its lines are counted from {begun + 1} on"
+        reader.out.note(other, sentence, begun + 1)
+        rows = split_lines(more, other)
+        for line, statement in _statements(rows):
+            _compile(statement, begun + line, reader)
+        begun += len(rows)
+    code = reader.code
+    if reader.routine:
+        code.end_routine(begun)
+    if not code.faults:
+        code.finish()
+    reader.faults.extend(code.faults)
+    names = list(code.routines)
+    if len(names) > 1 and "MAIN" not in names:
+        message = "which of several PROCs runs? Needed is one of the name main."
+        reader.faults.append(Fault(0, "", message))
+    if not reader.faults:
+        main = "MAIN" if "MAIN" in names else next(iter(names), None)
+        reader.is_running = True
+        reader.machine.run(main)
     reader.note_upright_axis()
     program = reader.out.finish(text)
     if reader.work_object is not None:
@@ -171,7 +269,9 @@ def _statements(rows: list[str]) -> Iterator[tuple[int, str]]:
         pieces = bare.split(";")
         for place, piece in enumerate(pieces):
             at = 0
-            while not parts and (frame := _FRAME.match(piece, at)):
+            # Most are motions, which no frame is.
+            is_inside = parts or piece.lstrip()[:4] == "Move"
+            while not is_inside and (frame := _FRAME.match(piece, at)):
                 yield number, frame[0].strip()
                 at = frame.end()
             begun = begun if parts else number
@@ -184,30 +284,158 @@ def _statements(rows: list[str]) -> Iterator[tuple[int, str]]:
         yield begun, " ".join(parts)
 
 
+def _compile(row: str, line: int, reader: _Rapid) -> None:
+    """Append a statement to the code."""
+    code, texts = reader.code, reader.texts
+    word = re.match(r"\w*", row)[0].upper()  # pyright: ignore[reportOptionalSubscript]
+    if _MOVE.match(row):
+        reader.let_matter()
+        code.plain(line, lambda machine: _carry_out(row, line, reader))
+    elif (
+        not row or word in ("MODULE", "ENDMODULE", "VERSION", "LANGUAGE") or "%" in row
+    ):
+        return
+    elif routine := _ROUTINE.fullmatch(row):
+        _compile_routine(routine, line, reader)
+    elif word in ("ENDPROC", "ENDFUNC", "ENDTRAP"):
+        if reader.routine:
+            code.end_routine(line)
+        reader.routine = ""
+    elif word == "RETURN":
+        reader.let_matter()
+        code.give_back(line, texts.expression(row[6:]) if row[6:].strip() else None)
+    elif word in ("ERROR", "UNDO", "BACKWARD"):
+        # Handlers, up to the end of their routine, wait for what does not happen here.
+        code.give_back(line)
+    elif word == "EXIT":
+        reader.let_matter()
+        code.plain(line, lambda machine: machine.stop())
+    elif loop := _FOR.fullmatch(row):
+        _compile_loop(loop, line, reader)
+    elif word == "ELSE":
+        code.otherwise(line)
+    elif word in _ENDS:
+        if word in ("ENDIF", "ENDWHILE"):
+            del reader.branches[-1:]
+        code.end(line, (_ENDS[word],))
+    elif word == "ENDTEST" and reader.tests:
+        if len(reader.tests.pop()) > 1:
+            code.end(line, ("if",))
+    elif word == "DEFAULT" and reader.tests:
+        _compile_case("", line, reader)
+    elif word == "IF" and not row.upper().endswith("THEN"):
+        try:
+            condition, rest = texts.split(row[2:])
+        except ExpressionError as error:
+            reader.refuse(line, row, str(error))
+            return
+        reader.branches.append(Branch(line))
+        code.begin_if(line, reader.condition(texts.expression(condition)))
+        _compile(rest, line, reader)
+        reader.branches.pop()
+        code.end(line, ("if",))
+    elif head := _HEAD.fullmatch(row):
+        value = texts.expression(head[2])
+        if word == "TEST":
+            reader.tests.append([head[2]])
+        elif word == "CASE" and reader.tests:
+            _compile_case(head[2], line, reader)
+        elif word == "ELSEIF" and reader.branches:
+            code.otherwise(line, reader.condition(value))
+        else:
+            reader.branches.append(Branch(line))
+            value = reader.condition(value)
+            (code.begin_if if word == "IF" else code.begin_loop)(line, value)
+    elif word == "GOTO" or row.endswith(":"):
+        label = row.removesuffix(":").split()[-1].upper()
+        number = reader.labels.setdefault(label, len(reader.labels))
+        reader.let_matter()
+        if word == "GOTO":
+            code.jump(line, lambda variables: number)
+        else:
+            code.label(number)
+    elif not reader.routine and _DECLARED.fullmatch(row):
+        _carry_out(row, line, reader)
+    else:
+        if not (_QUIET.fullmatch(row) or word in ("WAITTIME", *reader.pass_over)):
+            reader.let_matter()
+        code.plain(line, lambda machine: _carry_out(row, line, reader))
+
+
+def _compile_routine(match: re.Match[str], line: int, reader: _Rapid) -> None:
+    """Append the begin of a PROC, FUNC or TRAP with its parameters."""
+    name = match[2].upper()
+    names: list[str] = []
+    returned: list[str] = []
+    for part in split_arguments((match[3] or "").upper().replace("\\", ",\\")):
+        words = re.sub(r"\{[^{}]*\}", "", part).replace("\\", " ").split()
+        if not words:
+            continue
+        names.append(words[-1])
+        if words[0] in ("VAR", "PERS", "INOUT"):
+            returned.append(words[-1])
+        reader.kinds[words[-1]] = words[-2] if len(words) > 1 else ""
+    reader.routine, reader.returned[name] = name, tuple(returned)
+    reader.code.begin_routine(line, name, tuple(names))
+
+
+def _compile_loop(match: re.Match[str], line: int, reader: _Rapid) -> None:
+    """Append the begin of a FOR with a counter of its own; without STEP it is by 1."""
+    texts, name = reader.texts, match[1].upper()
+    first, last = texts.expression(match[2]), texts.expression(match[3])
+    step = texts.expression(match[4]) if match[4] else None
+
+    def one(variables: Variables) -> Value:
+        a, b = first(variables), last(variables)
+        is_back = isinstance(a, int | float) and isinstance(b, int | float) and b < a
+        return -1 if is_back else 1
+
+    reader.code.plain(line, lambda machine: machine.variables.declare(name, 0))
+    reader.code.begin_for(line, texts.place(name), first, last, step or one)
+
+
+def _compile_case(values: str, line: int, reader: _Rapid) -> None:
+    """Append a case of a TEST, or its DEFAULT."""
+    test = reader.tests[-1]
+    cases = [f"({test[0]}) = ({one})" for one in split_arguments(values) if one]
+    condition = reader.texts.expression(" OR ".join(cases) or "TRUE")
+    if len(test) == 1:
+        reader.code.begin_if(line, condition)
+    else:
+        reader.code.otherwise(line, condition)
+    test.append(values)
+
+
+def _carry_out(row: str, line: int, reader: _Rapid) -> None:
+    """Carry out a statement; one that comes again has told its faults."""
+    count = len(reader.faults)
+    try:
+        _statement(row, line, reader)
+    except ExpressionError as error:
+        reader.refuse(line, error.word or row, str(error))
+    if reader.faults[count:] and reader.faults[count] in reader.faults[:count]:
+        del reader.faults[count:]
+    if len(reader.faults) > SHOWN_FAULTS:
+        reader.machine.stop()
+
+
 def _statement(row: str, line: int, reader: _Rapid) -> None:
     """Carry out one statement."""
-    if not row:
-        return
     if message := fault_of_statement(row):
         reader.refuse(line, row, message)
-    elif _FRAME.fullmatch(row):
-        reader.procedures += row.upper().startswith("PROC")
-        if reader.procedures > 1:
-            reader.refuse(line, row, "one PROC per module is read; write calls out.")
-    elif reader.has_returned:
-        reader.out.note("RETURN", "ends the program before these lines", line)
-    elif row.upper() == "RETURN":
-        reader.has_returned = True
-    elif match := _DECLARED.fullmatch(row):
-        _declare(match, line, reader)
     elif match := _MOVE.fullmatch(row):
         _move(match[1].lower(), match[2], line, reader)
-    elif match := _COMPONENT.fullmatch(row):
-        _set_component(match, line, reader)
-    elif (match := _ASSIGNED.fullmatch(row)) and match[1].lower() in reader.targets:
-        reader.targets[match[1].lower()] = _pose(match[2], line, reader)
+    elif match := _DECLARED.fullmatch(row):
+        _declare(match, line, reader)
+    elif match := _ASSIGNED.fullmatch(row):
+        _assign(match[1], match[2], reader)
     elif match := _WAIT.fullmatch(row):
-        reader.out.dwell(float(match[1]), line, row)
+        duration = reader.number(match[1])
+        if math.isnan(duration) and not re.fullmatch(NUMBER, match[1].strip()):
+            reader.refuse(line, row, "needed is a number of seconds.")
+            return
+        duration = float(match[1]) if math.isnan(duration) else duration
+        reader.out.dwell(duration, line, row)
     elif match := _OVERRIDE.fullmatch(row):
         _set_override(match[1], row, line, reader)
     elif match := _QUIET.fullmatch(row):
@@ -215,33 +443,96 @@ def _statement(row: str, line: int, reader: _Rapid) -> None:
         if _WRIST.match(row):
             sentence = "where the wrist is straight, the controller may turn the tool"
         reader.out.note(match[1], sentence, line)
-    else:
-        reader.refuse(line, row, "is no plain motion and is not supported.")
+    elif not ((match := _CALL.fullmatch(row)) and _call(match, line, reader)):
+        message = "is no plain motion and is not supported"
+        if match is not None and match[1].upper() not in ("IF", "WHILE", "FOR"):
+            message += (
+                f'; [program] pass_over = ["{match[1]}"] leaves it out if it moves '
+            )
+            message += "neither arm nor work"
+        reader.refuse(line, row, f"{message}.")
+
+
+def _call(match: re.Match[str], line: int, reader: _Rapid) -> bool:
+    """Call a routine, or pass over what a job names; False if it is unknown."""
+    name, texts = match[1].upper(), reader.texts
+    routine = reader.code.routines.get(name)
+    if routine is None:
+        if name in reader.pass_over:
+            sentence = "is passed over, as [program] pass_over says"
+            reader.out.note(match[1], sentence, line)
+        return name in reader.pass_over
+    own: dict[Name, Value] = dict.fromkeys(routine.parameters)
+    back: dict[str, Variable] = {}
+    places = list(routine.parameters)
+    for part in split_arguments(match[2].replace("\\", ",\\")):
+        option, _, value = part.partition(":=")
+        if part.startswith("\\"):
+            parameter, text = option[1:].strip().upper(), value
+        elif part and places:
+            parameter, text = places[0], part
+        else:
+            continue
+        places = [one for one in places if one != parameter]
+        given = texts.value(text) if text.strip() else True
+        own[parameter] = record_of(reader.kinds.get(parameter, ""), given)
+        if parameter in reader.returned[name]:
+            back[parameter] = texts.place(text)
+
+    def done(values: dict[Name, Value]) -> None:
+        for parameter, place in back.items():
+            place.set(texts.variables, values[parameter])
+
+    reader.machine.call(name, own, done)
+    return True
+
+
+def _assign(place: str, value: str, reader: _Rapid) -> None:
+    """Carry out an assignment.
+
+    Raises:
+        ExpressionError: If the value has a fault, or nothing can take it.
+    """
+    texts, found = reader.texts, reader.texts.place(place)
+    name = str(found.name(texts.variables))
+    is_component = any(isinstance(step, str) for step in found.path)
+    kind = "NUM" if is_component else reader.kinds.get(name, "")
+    given = texts.value(value)
+    if isinstance(given, list) and is_component:
+        old = found.get(texts.variables)
+        names = list(old) if isinstance(old, dict) else []
+        given = dict(zip(names, given, strict=True)) if names else given
+    found.set(texts.variables, record_of(kind, given))
 
 
 def _declare(match: re.Match[str], line: int, reader: _Rapid) -> None:
-    """Keep a constant that a motion may name."""
-    kind, name, value = match[1].lower(), match[2].lower(), match[4]
-    if kind == "robtarget" and match[3] is not None:
-        count = int(match[3])
-        parts = split_arguments((value or "").strip()[1:-1])
-        if value is not None and len(parts) != count:
-            reader.refuse(line, name, f"needed are {count} robtargets.")
-        for index, part in enumerate(parts, 1):
-            if value is not None:
-                target = _numbers(part, 17, line, reader)
-                reader.targets[f"{name}{{{index}}}"] = target
-    elif value is None:
-        if kind == "robtarget":
-            reader.targets[name] = [math.nan] * 17
-    elif kind == "robtarget":
-        reader.targets[name] = _pose(value, line, reader)
-    elif kind == "speeddata":
-        reader.speeds[name] = 1e-3 * _numbers(value, 4, line, reader)[0]
-    elif kind in ("tooldata", "wobjdata"):
-        _store_data(kind, name, value, line, reader)
-    elif kind in ("num", "dnum"):
-        reader.numbers[name.upper()] = value_of(value, reader.numbers)
+    """Keep a variable; what is no value for a motion is left out."""
+    kind, name, value = match[1].upper(), match[2].upper(), match[4]
+    if kind in ("TOOLDATA", "WOBJDATA"):
+        if value is not None:
+            _store_data(kind.lower(), name.lower(), value, line, reader)
+        return
+    reader.kinds[name] = kind
+    is_shared = not reader.machine.depth and not reader.is_running
+    is_target = kind == "ROBTARGET" and not match[3]
+    try:
+        if is_target and value is not None and value.startswith("["):
+            values = iter(_numbers(value, 17, line, reader))
+            start = _filled(made(kind, []), values)
+        else:
+            start = declared(reader.texts, kind, name, match[3] or "", value)
+    except ExpressionError:
+        if kind in _OF_MOTION:
+            raise
+        start = None
+    reader.texts.variables.declare(name, start, is_shared=is_shared)
+
+
+def _filled(record: Value, values: Iterator[float]) -> Value:
+    """Record with numbers in their order."""
+    if isinstance(record, dict):
+        return {name: _filled(part, values) for name, part in record.items()}
+    return next(values)
 
 
 def _store_data(kind: str, name: str, value: str, line: int, reader: _Rapid) -> None:
@@ -264,17 +555,6 @@ def _store_data(kind: str, name: str, value: str, line: int, reader: _Rapid) -> 
     (reader.tool_data if kind == "tooldata" else reader.work_objects)[name] = data
 
 
-def _set_component(match: re.Match[str], line: int, reader: _Rapid) -> None:
-    """Set a coordinate of a declared target."""
-    name, value = match[1].lower(), value_of(match[3], reader.numbers)
-    if name not in reader.targets or math.isnan(value):
-        reader.refuse(line, match[0], "needed are a declared robtarget and a number.")
-        return
-    target = list(reader.targets[name])
-    target["xyz".index(match[2].lower())] = value
-    reader.targets[name] = target
-
-
 def _numbers(text: str, count: int, line: int, reader: Reader) -> list[float]:
     """Return the numbers of nested lists, brackets aside."""
     parts = text.replace("[", " ").replace("]", " ").split(",")
@@ -288,46 +568,26 @@ def _numbers(text: str, count: int, line: int, reader: Reader) -> list[float]:
 def _pose(text: str, line: int, reader: _Rapid) -> list[float]:
     """Return the numbers of a target: a name, numbers, or one that is moved."""
     text = text.split("\\ID")[0].strip()
-    if match := _OFFSET.fullmatch(text):
-        return _moved(match, line, reader)
     if text.startswith("["):
         return _numbers(text, 17, line, reader)
-    values = reader.targets.get(text.replace(" ", "").lower())
-    if values is None or math.isnan(values[0]):
-        reader.refuse(line, text, "no robtarget of this name is declared as numbers.")
-        x, y, z = (1e3 * value for value in reader.position)
-        return [x, y, z, 0.0, 1.0, *[0.0] * 12]
-    return values
-
-
-def _moved(match: re.Match[str], line: int, reader: _Rapid) -> list[float]:
-    """Return a target moved along the axes of the work object, or of the tool."""
-    from scipy.spatial.transform import Rotation
-
-    turns = [(name.lower(), value) for name, value in _TURN.findall(match[2])]
-    first, *moved = split_arguments(_TURN.sub("", match[2]))
-    values = list(_pose(first, line, reader))
-    way = np.array([value_of(part, reader.numbers) for part in moved if part])
-    angles = {name[1]: value_of(value, reader.numbers) for name, value in turns}
-    if way.shape != (3,) or not np.isfinite([*way, *angles.values()]).all():
-        reader.refuse(line, match[0], "needed are a robtarget and 3 numbers.")
-        return values
-    is_turned = math.hypot(*values[3:7]) >= _LEAST_QUATERNION
-    if match[1].lower() == "offs" or not is_turned:
-        return [*(np.array(values[:3]) + way), *values[3:]]
-    w, x, y, z = values[3:7]
-    pose = Rotation.from_quat([x, y, z, w])
-    place = np.array(values[:3]) + pose.apply(way)
-    for axis in "xyz":
-        pose = pose * Rotation.from_euler(axis, angles.get(axis, 0.0), degrees=True)
-    x, y, z, w = pose.as_quat()
-    return [*place.tolist(), float(w), float(x), float(y), float(z), *values[7:]]
+    variables = reader.texts.variables
+    try:
+        name = text.upper()
+        value = variables.get(name) if name in variables else reader.texts.value(text)
+        numbers = numbers_of(record_of("ROBTARGET", value))
+    except ExpressionError as error:
+        reader.refuse(line, text, f"no robtarget in numbers: {error}")
+        numbers = []
+    if len(numbers) == 17:
+        return numbers
+    x, y, z = (1e3 * value for value in reader.position)
+    return [x, y, z, 0.0, 1.0, *[0.0] * 12]
 
 
 def _target(text: str, line: int, reader: _Rapid) -> ToolPlace:
     values = _pose(text, line, reader)
     x, y, z = (1e-3 * value for value in values[:3])
-    if math.hypot(*values[3:7]) < _LEAST_QUATERNION:
+    if math.hypot(*values[3:7]) < LEAST_QUATERNION:
         reader.refuse(line, text, "the quaternion has no length.")
         return ToolPlace((x, y, z), reader.axis)
     axes = dict(zip(_EXTERNAL, values[11:17], strict=True))
@@ -347,7 +607,7 @@ def _orientation(
 
 def _set_override(text: str, row: str, line: int, reader: _Rapid) -> None:
     """Apply VelSet: percent of the programmed speeds, and the largest one [mm/s]."""
-    values = [value_of(part, reader.numbers) for part in split_arguments(text)]
+    values = [reader.number(part) for part in split_arguments(text)]
     if len(values) != 2 or not all(0 < value < math.inf for value in values):
         message = "needed are percent and mm/s above 0, in numbers or declared ones."
         reader.refuse(line, row, message)
@@ -359,7 +619,7 @@ def _pace(text: str, line: int, reader: _Rapid) -> float | None:
     """Set the feed of a motion; return its duration [s] if it states one."""
     option = _OPTION.search(text)
     name = text.split("\\")[0].strip().lower()
-    value = math.nan if option is None else value_of(option[2], reader.numbers)
+    value = math.nan if option is None else reader.number(option[2].strip())
     if option is not None and not 0 < value < math.inf:
         message = f"{option[1]} is above 0, in numbers or declared ones with + - * /."
         reader.refuse(line, text, message)
@@ -371,13 +631,18 @@ def _pace(text: str, line: int, reader: _Rapid) -> float | None:
         feed = 1e-3 * value
     elif name.startswith("["):
         feed = 1e-3 * _numbers(name, 4, line, reader)[0]
-    elif name in reader.speeds:
-        feed = reader.speeds[name]
-    elif match := _SPEED.fullmatch(name):
+    elif (match := _SPEED.fullmatch(name)) and name.upper() not in reader.kinds:
         feed = 1e-3 * float(match[1])
+    elif name == "vmax":
+        feed = _VMAX
     else:
-        reader.refuse(line, text, "no speeddata of this name is declared as numbers.")
-        return None
+        try:
+            record = record_of("SPEEDDATA", reader.texts.value(name))
+            feed = 1e-3 * numbers_of(record)[0]
+        except ExpressionError:
+            message = "no speeddata of this name is declared as numbers."
+            reader.refuse(line, text, message)
+            return None
     reader.set_feed(min(feed * reader.override, reader.fastest), text, line)
     return None
 

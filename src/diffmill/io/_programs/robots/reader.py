@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from ....toolpath import Move, Point
+from ..expressions import Expression, ExpressionError, Value, Variables, evaluated
 from ..faults import Fault
 from ..geometry import ToolAxis, circle_through, controller_matrix, rotated
 from ..move_list import MoveList
@@ -19,6 +20,19 @@ _SAME_PLACE = 1e-6
 
 
 @dataclass
+class Branch:
+    """A block that is carried out on a condition: its line, and whether it matters.
+
+    Attributes:
+        line: Line at which it begins.
+        has_effect: Whether anything in it may move, or change what moves.
+    """
+
+    line: int
+    has_effect: bool = False
+
+
+@dataclass
 class Reader:
     """Place of the tool while a program is read, and the moves so far.
 
@@ -30,6 +44,7 @@ class Reader:
         tool_axis: Axis of the controller's tool that points from the shank to the tip.
         is_placed: Whether a motion has brought the tip to its position.
         feed: Feed [m/s], or None before the first.
+        branches: Blocks on a condition that are open while the program is compiled.
     """
 
     out: MoveList = field(default_factory=MoveList)
@@ -39,6 +54,28 @@ class Reader:
     tool_axis: ToolAxis = "z"
     is_placed: bool = False
     feed: float | None = None
+    branches: list[Branch] = field(default_factory=list)
+
+    def let_matter(self) -> None:
+        """Let what is compiled now have an effect in all branches that are open."""
+        for branch in self.branches:
+            branch.has_effect = True
+
+    def condition(self, value: Expression) -> Expression:
+        """Condition of the innermost branch; it may be unknown where nothing moves."""
+        branch = self.branches[-1]
+
+        def known(variables: Variables) -> Value:
+            try:
+                return evaluated(value, variables)
+            except ExpressionError as error:
+                if branch.has_effect:
+                    raise
+                sentence = "is not known, and decides on nothing that moves"
+                self.out.note(error.word or "a condition", sentence, branch.line)
+                return False
+
+        return known
 
     @property
     def faults(self) -> list[Fault]:

@@ -1,0 +1,294 @@
+"""Values of RAPID: expressions, records such as robtarget, arrays, functions."""
+
+import math
+import operator
+import re
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from ..expressions import (
+    Expression,
+    ExpressionError,
+    Grammar,
+    Name,
+    Parser,
+    Value,
+    Variables,
+)
+from ..geometry import quaternion_of_rotation, rotation_of_abc, rotation_of_quaternion
+from ..limits import MOST_VALUES
+from .texts import Texts
+
+_TOKEN = re.compile(
+    r"\s*(?:(?P<number>(?:\d+\.?\d*|\.\d+)(?:E[+-]?\d+)?)|(?P<text>\"[^\"]*\")"
+    r"|(?P<name>[A-Z_]\w*)|(?P<sign>:=|<>|<=|>=|[-+*/()\[\]{},.<>=\\:]))",
+    re.IGNORECASE,
+)
+# Components of records, with the record of which each is one.
+_RECORDS: dict[str, dict[str, str]] = {
+    "POS": dict.fromkeys("XYZ", "NUM"),
+    "ORIENT": dict.fromkeys(("Q1", "Q2", "Q3", "Q4"), "NUM"),
+    "CONFDATA": dict.fromkeys(("CF1", "CF4", "CF6", "CFX"), "NUM"),
+    "EXTJOINT": dict.fromkeys([f"EAX_{letter}" for letter in "ABCDEF"], "NUM"),
+    "ROBJOINT": dict.fromkeys([f"RAX_{n}" for n in range(1, 7)], "NUM"),
+    "POSE": {"TRANS": "POS", "ROT": "ORIENT"},
+    "ROBTARGET": {
+        "TRANS": "POS",
+        "ROT": "ORIENT",
+        "ROBCONF": "CONFDATA",
+        "EXTAX": "EXTJOINT",
+    },
+    "JOINTTARGET": {"ROBAX": "ROBJOINT", "EXTAX": "EXTJOINT"},
+    "SPEEDDATA": dict.fromkeys(("V_TCP", "V_ORI", "V_LEAX", "V_REAX"), "NUM"),
+}
+# A controller wants a quaternion of length 1.
+LEAST_QUATERNION = 1e-3
+
+
+def record_of(kind: str, value: Value) -> Value:
+    """Record of a list in brackets, or what a variable of a type keeps of a value.
+
+    Raises:
+        ExpressionError: If a list has another number of components.
+    """
+    parts = _RECORDS.get(kind)
+    if parts is None or not isinstance(value, list):
+        return float(value) if type(value) is int and kind == "NUM" else value
+    if len(value) != len(parts):
+        message = f"a {kind.lower()} has {len(parts)} components, not {len(value)}."
+        raise ExpressionError("", message)
+    pairs = zip(parts.items(), value, strict=True)
+    return {name: record_of(inner, part) for (name, inner), part in pairs}
+
+
+def made(kind: str, sizes: list[int]) -> Value:
+    """Value of a variable, or of an array, that has none yet."""
+    if sizes:
+        return [made(kind, sizes[1:]) for _ in range(sizes[0])]
+    if parts := _RECORDS.get(kind):
+        return {name: made(inner, []) for name, inner in parts.items()}
+    return 0.0 if kind in ("NUM", "DNUM") else None
+
+
+def numbers_of(value: Value) -> list[float]:
+    """Numbers of a record in their order.
+
+    Raises:
+        ExpressionError: If one of them has no value.
+    """
+    if isinstance(value, dict):
+        return [number for part in value.values() for number in numbers_of(part)]
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ExpressionError("", "a component has no value in numbers.")
+    return [float(value)]
+
+
+def _truth(action: Callable[[bool, bool], bool]) -> Callable[[Value, Value], Value]:
+    def value(a: Value, b: Value) -> Value:
+        if isinstance(a, bool) and isinstance(b, bool):
+            return action(a, b)
+        raise TypeError
+
+    return value
+
+
+def _sum(sign: float) -> Callable[[Any, Any], Value]:
+    """Sum or difference of two numbers, or of two places."""
+
+    def value(a: Any, b: Any) -> Value:
+        if isinstance(a, dict) and isinstance(b, dict):
+            return {name: part + sign * b[name] for name, part in a.items()}
+        return a + sign * b
+
+    return value
+
+
+def _times(a: Any, b: Any) -> Value:
+    if isinstance(a, dict):
+        a, b = b, a
+    return (
+        {name: a * part for name, part in b.items()} if isinstance(b, dict) else a * b
+    )
+
+
+def _whole_quotient(a: Any, b: Any) -> Value:
+    return int(a / b)
+
+
+def _moved(name: str, values: list[Any], turns: dict[str, Any]) -> Value:
+    """Target that Offs moves along the work object, RelTool along the tool."""
+    target, *way = values
+    target = record_of("ROBTARGET", target)
+    x, y, z, *rot = numbers_of(target)
+    R = np.eye(3)
+    step = np.array(way, float)
+    rot = rot[:4]
+    if len(step) != 3 or not isinstance(target, dict):
+        raise ExpressionError(name, "needed are a robtarget and 3 numbers.")
+    if name == "RELTOOL" and math.hypot(*rot) >= LEAST_QUATERNION:
+        R = rotation_of_quaternion(rot[0], rot[1], rot[2], rot[3])
+        step = R @ step
+        if turns:
+            a, b, c = (float(turns.get(f"R{axis}", 0.0)) for axis in "XYZ")
+            # About x first, then about the new y and z.
+            R = R @ rotation_of_abc(0.0, 0.0, a) @ rotation_of_abc(0.0, b, 0.0)
+            rot = list(quaternion_of_rotation(R @ rotation_of_abc(c, 0.0, 0.0)))
+    place = np.array([x, y, z]) + step
+    turned = dict(zip(_RECORDS["ORIENT"], rot, strict=True))
+    return {**target, "TRANS": dict(zip("XYZ", place.tolist(), strict=True))} | {
+        "ROT": turned
+    }
+
+
+def _orient(name: str, values: list[Any], turns: dict[str, Any]) -> Value:
+    """Orientation of angles about z, y and x [deg]."""
+    a, b, c = map(float, values)
+    quaternion = quaternion_of_rotation(rotation_of_abc(a, b, c))
+    return dict(zip(_RECORDS["ORIENT"], quaternion, strict=True))
+
+
+def _size(name: str, values: list[Any], turns: dict[str, Any]) -> Value:
+    """Length of an array in one of its dimensions."""
+    array, dimension = values
+    for _ in range(int(dimension) - 1):
+        array = array[0]
+    return len(array)
+
+
+_FUNCTIONS: dict[str, Callable[[str, list[Any], dict[str, Any]], Value]] = {
+    "OFFS": _moved,
+    "RELTOOL": _moved,
+    "ORIENTZYX": _orient,
+    "DIM": _size,
+}
+
+
+def _operand(parser: Parser) -> Expression | None:
+    """Read a list in brackets, or a function whose arguments have names."""
+    parts: list[Expression] = []
+    if parser.take("["):
+        while not parser.take("]"):
+            if parts:
+                parser.expect(",")
+            parts.append(parser.expression())
+        return lambda variables: [part(variables) for part in parts]
+    if not (parser.kind == "name" and parser.word in _FUNCTIONS):
+        return None
+    name, named = parser.advance(), dict[str, Expression]()
+    parser.expect("(")
+    while not parser.take(")"):
+        if parser.take("\\"):
+            option = parser.advance()
+            parser.expect(":=")
+            named[option] = parser.expression()
+        elif parts and not parser.take(","):
+            parser.expect(")")
+            break
+        elif not (parser.kind == "sign" and parser.word == "\\"):
+            parts.append(parser.expression())
+
+    def value(variables: Variables) -> Value:
+        turns = {option: one(variables) for option, one in named.items()}
+        return _FUNCTIONS[name](name, [one(variables) for one in parts], turns)
+
+    return value
+
+
+def _of_degrees(action: Callable[[float], float]) -> Callable[[Any], Value]:
+    return lambda x: action(math.radians(x))
+
+
+def texts_of_rapid(
+    missing: Callable[[Name], Value],
+    call: Callable[[str, list[Expression]], Expression],
+) -> Texts:
+    """Expressions of RAPID, without any variable yet.
+
+    Args:
+        missing: Value of a name that has none; it may raise an `ExpressionError`.
+        call: Call of a function that the program defines.
+    """
+    grammar = Grammar(
+        token=_TOKEN,
+        binary=(
+            {"OR": _truth(operator.or_), "XOR": _truth(operator.xor)},
+            {"AND": _truth(operator.and_)},
+            {
+                "=": operator.eq,
+                "<>": operator.ne,
+                "<": operator.lt,
+                ">": operator.gt,
+                "<=": operator.le,
+                ">=": operator.ge,
+            },
+            {"+": _sum(1.0), "-": _sum(-1.0)},
+            {
+                "*": _times,
+                "/": operator.truediv,
+                "DIV": _whole_quotient,
+                "MOD": math.fmod,
+            },
+        ),
+        unary={
+            "-": (lambda x: _times(-1.0, x), 5),
+            "+": (lambda x: x, 5),
+            "NOT": (operator.not_, 2),
+        },
+        functions={
+            "ABS": lambda x: math.fabs(x),
+            "SQRT": math.sqrt,
+            "SIN": _of_degrees(math.sin),
+            "COS": _of_degrees(math.cos),
+            "TAN": _of_degrees(math.tan),
+            "ACOS": lambda x: math.degrees(math.acos(x)),
+            "ASIN": lambda x: math.degrees(math.asin(x)),
+            "ATAN": lambda x: math.degrees(math.atan(x)),
+            "ATAN2": lambda y, x: math.degrees(math.atan2(y, x)),
+            "POW": math.pow,
+            "EXP": math.exp,
+            "TRUNC": lambda x: int(x),
+            "ROUND": lambda x: math.floor(x + 0.5),
+        },
+        constants={"TRUE": True, "FALSE": False, "PI": math.pi},
+        brackets=("()", "()", "{}"),
+        operand=_operand,
+        call=call,
+    )
+    return Texts(Variables(missing), grammar)
+
+
+def declared(
+    texts: Texts, kind: str, name: str, sizes: str, value: str | None
+) -> Value:
+    """Value of a variable as it is declared.
+
+    Args:
+        texts: Its expressions.
+        kind: Its type, in upper case.
+        name: Its name.
+        sizes: Sizes of its array, separated by commas; "" for none.
+        value: Its first value; None for none.
+
+    Raises:
+        ExpressionError: If the array is too large, or the value has a fault.
+    """
+    # Sizes may be constants.
+    found = [texts.number(one) for one in sizes.split(",") if one.strip()]
+    if not all(one >= 1 and one % 1 == 0 for one in found):
+        raise ExpressionError(name, "the size of an array is a whole number from 1.")
+    counts = [int(one) for one in found]
+    if math.prod(counts) * 20 > MOST_VALUES:
+        raise ExpressionError(name, f"an array has more than {MOST_VALUES} values.")
+    if value is None:
+        return made(kind, counts)
+    return _array_of(kind, counts, texts.value(value))
+
+
+def _array_of(kind: str, sizes: list[int], value: Value) -> Value:
+    if not sizes:
+        return record_of(kind, value)
+    if not isinstance(value, list) or len(value) != sizes[0]:
+        raise ExpressionError("", f"needed are {sizes[0]} values of {kind.lower()}.")
+    return [_array_of(kind, sizes[1:], part) for part in value]

@@ -1,0 +1,81 @@
+"""Expressions of a robot's program as text, each read once."""
+
+import math
+
+from ..expressions import (
+    Expression,
+    ExpressionError,
+    Grammar,
+    Parser,
+    Value,
+    Variable,
+    Variables,
+    evaluated,
+)
+from ..limits import LARGEST_NUMBER, MOST_VALUES
+
+
+class Texts:
+    """Texts of expressions, with the grammar and the variables that give them values.
+
+    Attributes:
+        variables: The values.
+    """
+
+    def __init__(self, variables: Variables, grammar: Grammar) -> None:
+        self.variables, self._grammar = variables, grammar
+        self._parsed: dict[str, Expression] = {}
+
+    def expression(self, text: str) -> Expression:
+        """Expression of a text; what is wrong with it is told when it is evaluated."""
+
+        def value(variables: Variables) -> Value:
+            known = self._parsed.get(text)
+            if known is None:
+                parser = Parser(text, self._grammar)
+                known = parser.expression()
+                parser.finish()
+                if len(self._parsed) < MOST_VALUES:
+                    self._parsed[text] = known
+            return known(variables)
+
+        return value
+
+    def split(self, text: str) -> tuple[str, str]:
+        """Split a text into the expression at its begin and what follows.
+
+        Raises:
+            ExpressionError: If it begins with none.
+        """
+        parser = Parser(text, self._grammar)
+        parser.expression()
+        return text[: parser.at], text[parser.at :].strip()
+
+    def place(self, text: str) -> Variable:
+        """Place in which a value is kept.
+
+        Raises:
+            ExpressionError: If it is none.
+        """
+        parser = Parser(text, self._grammar)
+        place = parser.variable()
+        parser.finish()
+        return place
+
+    def value(self, text: str) -> Value:
+        """Value of an expression.
+
+        Raises:
+            ExpressionError: If it has none.
+        """
+        return evaluated(self.expression(text), self.variables)
+
+    def number(self, text: str) -> float:
+        """Value of an expression that is a number; NaN if it has none, or too large."""
+        try:
+            value = self.value(text)
+        except ExpressionError:
+            return math.nan
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            return math.nan
+        return float(value) if abs(value) <= LARGEST_NUMBER else math.nan

@@ -1,0 +1,136 @@
+"""RAPID as it is written by hand and by posts: loops, records, calls, by hand."""
+
+import numpy as np
+import pytest
+
+from diffmill.io import ProgramError, ProgramSetup, read_program
+
+TARGET = "[[{},{},{}],[0,1,0,0],[0,0,0,0],[9E9,9E9,9E9,9E9,9E9,9E9]]"
+DATA = (
+    f"CONST robtarget p:={TARGET.format(1, 2, 3)};\nVAR robtarget q;\nVAR num i:=0;\n"
+)
+DATA += (
+    "VAR num r{2,3};\nPERS robtarget row{3};\nVAR speeddata slow:=[40,500,5000,1000];\n"
+)
+GO = "MoveJ [[0,0,9],[0,1,0,0],[0,0,0,0],[9E9,9E9,9E9,9E9,9E9,9E9]],v500,fine,tool0;\n"
+
+
+def rapid(rows, more=""):
+    return f"MODULE m\n{DATA}PROC main()\n{GO}{rows}\nENDPROC\n{more}\nENDMODULE\n"
+
+
+def to(place):
+    return f"MoveL {place},v50,z0,tool0;\n"
+
+
+def places(program):
+    """Ends of the moves behind the first [mm]."""
+    return [tuple(np.round(np.array(m.end) * 1e3, 9)) for m in program.moves[1:]]
+
+
+AT = to("Offs(p,i,0,0)")
+
+
+@pytest.mark.parametrize(
+    ("rows", "xs"),
+    [
+        (f"FOR k FROM 1 TO 3 DO\ni:=10*k;\n{AT}ENDFOR", [11, 21, 31]),
+        (f"FOR k FROM 3 TO 1 DO i:=k; {AT}ENDFOR", [4, 3, 2]),
+        (f"FOR k FROM 0 TO 1 STEP 0.5 DO\ni:=k;\n{AT}ENDFOR", [1, 1.5, 2]),
+        (f"WHILE i<2 DO\ni:=i+1;\n{AT}ENDWHILE", [2, 3]),
+        (
+            f"IF i=0 AND NOT i>5 THEN\n{AT}ELSEIF i=1 THEN\nEXIT;\nELSE\nEXIT;\nENDIF",
+            [1],
+        ),
+        (f"IF i<>0 EXIT;\nIF i=0 i:=4;\n{AT}", [5]),
+        (
+            "FOR k FROM 1 TO 3 DO\nTEST k\nCASE 1,3:\ni:=k;\nDEFAULT:\ni:=7;\n"
+            f"ENDTEST\n{AT}ENDFOR",
+            [2, 8, 4],
+        ),
+        (f"GOTO on;\ni:=5;\non:\n{AT}", [1]),
+        (f"i:=7 DIV 2 + 7 MOD 4 + 5/2 + Abs(-1) + Pow(2,3);\n{AT}", [18.5]),
+    ],
+)
+def test_loops_and_branches(read, rows, xs):
+    found = [x for x, *_ in places(read(rapid(rows), ".mod"))]
+    assert found == pytest.approx(xs)
+
+
+def test_arrays_and_records(read):
+    rows = "q:=p;\nq.trans.x:=q.trans.x+0.5;\nr{2,3}:=4;\nq.trans.z:=r{2,3};\n"
+    rows += (
+        f"row{{1}}:=q;\nrow{{2}}:=Offs(q,1,0,0);\nrow{{3}}:={TARGET.format(7, 8, 9)};\n"
+    )
+    rows += "q.trans:=[5,6,7];\nFOR k FROM 1 TO Dim(row,1) DO\n"
+    rows += f"{to('row{k}')}ENDFOR\n{to('q')}"
+    rows += (
+        "slow.v_tcp:=30;\nMoveL p,slow,z0,tool0;\nMoveL\\Conc,q,[20,1,1,1],z0,tool0;"
+    )
+    program = read(rapid(rows), ".mod")
+    expected = [(1.5, 2, 4), (2.5, 2, 4), (7, 8, 9), (5, 6, 7), (1, 2, 3), (5, 6, 7)]
+    assert places(program) == expected
+    assert [move.feed for move in program.moves[-2:]] == pytest.approx([0.03, 0.02])
+
+
+def test_an_input_that_decides_on_no_motion_is_noted(read):
+    rows = f"IF TestDI(di1) THEN\nWaitDI di1,0;\nENDIF\n{AT}IF di2=1 SetDO do1,1;\n"
+    program = read(
+        rapid(rows + "WHILE DInput(d)=0 DO\nWaitTime 0.1;\nENDWHILE"), ".mod"
+    )
+    assert places(program) == [(1, 2, 3)]
+    sentence = "is not known, and decides on nothing that moves"
+    assert len([note for note in program.notes if sentence in note]) == 3
+
+
+def test_routines_take_values_and_give_them_back(read):
+    more = (
+        "PROC cut(robtarget at,num depth,INOUT num count\\switch twice)\nVAR num k;\n"
+    )
+    more += "k:=half(depth);\nMoveL Offs(at,0,0,-2*k),v50,z0,tool0;\ncount:=count+1;\n"
+    more += "RETURN;\ncount:=99;\nERROR\nRETRY;\nENDPROC\n"
+    more += (
+        "FUNC num half(num v)\nRETURN v/2;\nENDFUNC\nPROC up()\n" + to("p") + "ENDPROC"
+    )
+    rows = f"cut p,4,i;\nup;\ncut Offs(p,i,0,0),half(4)-1,i\\twice;\n{AT}"
+    found = places(read(rapid(rows, more), ".mod"))
+    assert found == [(1, 2, -1), (1, 2, 3), (2, 2, 2), (3, 2, 3)]
+
+
+def test_modules_beside_it_are_used(tmp_path):
+    (tmp_path / "main.mod").write_text(
+        rapid("SyncMoveOn s,t;\npath_10;\nSyncMoveOff s;")
+    )
+    path = (
+        f"MODULE paths\nPROC path_10()\n{to(TARGET.format(4, 5, 6))}ENDPROC\nENDMODULE"
+    )
+    (tmp_path / "paths.mod").write_text(path)
+    program = read_program(tmp_path / "main.mod")
+    assert places(program) == [(4, 5, 6)]
+    assert any("paths.mod: is used too" in note for note in program.notes)
+    (tmp_path / "paths.mod").unlink()
+    with pytest.raises(ProgramError, match=r'pass_over = \["path_10"\]'):
+        read_program(tmp_path / "main.mod")
+    setup = ProgramSetup(pass_over=("PATH_10",))
+    (tmp_path / "main.mod").write_text(rapid("path_10;\n" + AT))
+    assert len(read_program(tmp_path / "main.mod", setup=setup).moves) == 2
+
+
+@pytest.mark.parametrize(
+    ("rows", "part"),
+    [
+        ("WHILE TRUE DO\ni:=1;\nENDWHILE", "carry out more than"),
+        ("main;", "deep"),
+        (f"IF DInput(di1)=1 THEN\n{AT}ENDIF", "no such function"),
+        ("i:=row{4}.trans.x;", "allowed is 1 to 3"),
+        ("VAR robtarget much{200000};", "more than 2000000 values"),
+        (to("q2"), "does not state its value"),
+        (f"q:={TARGET.format(1, 2, '3,4')};", "3 components, not 4"),
+        ("cut_it 5;", 'pass_over = \\["cut_it"\\]'),
+    ],
+)
+def test_what_has_no_end_or_no_value_is_refused(read, rows, part, monkeypatch):
+    monkeypatch.setattr("diffmill.io._programs.control.MOST_REPEATED", 2000)
+    with pytest.raises(ProgramError, match=part) as caught:
+        read(rapid(rows), ".mod")
+    assert len(caught.value.faults) == 1
