@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from diffmill.io import ProgramError, ProgramSetup, parse_gcode
+from diffmill.io import ProgramError, ProgramSetup, parse_gcode, read_program
 from diffmill.toolpath import sample_program
 
 MM = 1e-3
@@ -375,3 +375,24 @@ def test_arcs_are_turned_scaled_and_mirrored():
 def test_holes_are_turned_as_well():
     text = "G0 X0 Y0 Z5\nG68 X0 Y0 R90\nG81 X10 Y0 Z-1 R1 F60\nX20"
     assert [row[1:3] for row in motion(text) if row[3] == -1] == [(0, 10), (0, 20)]
+
+
+@pytest.mark.parametrize(
+    ("suffix", "text", "name", "instead"),
+    [
+        (".h", "0 BEGIN PGM A MM\n1 L X+10 R0 FMAX\n", "Heidenhain", "G-code as"),
+        (".mpf", "%_N_A_MPF\n;$PATH=/_N_MPF_DIR\nG1 X=AC(5)\n", "Siemens", "G-code as"),
+        (".ls", "/PROG  A\n/ATTR\n/MN\n 1:L P[1] 100mm/sec FINE ;\n", "Fanuc robots",
+         "APT"),
+        (".jbi", "/JOB\n//NAME A\n//POS\nMOVL C0001 V=50.0\nEND\n", "Yaskawa", ".csv"),
+        (".nc", "/JOB\n//NAME A\n//POS\nMOVL C0001 V=50.0\nEND\n", "Yaskawa", ".csv"),
+    ],
+)  # fmt: skip
+def test_a_language_that_is_not_read_is_named_once(
+    tmp_path, suffix, text, name, instead
+):
+    (tmp_path / f"part{suffix}").write_text(text)
+    with pytest.raises(ProgramError, match=name) as caught:
+        read_program(tmp_path / f"part{suffix}")
+    (fault,) = caught.value.faults
+    assert fault.line and instead in fault.message

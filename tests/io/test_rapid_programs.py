@@ -48,6 +48,7 @@ AT = to("Offs(p,i,0,0)")
             f"ENDTEST\n{AT}ENDFOR",
             [2, 8, 4],
         ),
+        (f"IF i=0\nAND i<5 THEN\n{AT}ENDIF", [1]),
         (f"GOTO on;\ni:=5;\non:\n{AT}", [1]),
         (f"i:=7 DIV 2 + 7 MOD 4 + 5/2 + Abs(-1) + Pow(2,3);\n{AT}", [18.5]),
     ],

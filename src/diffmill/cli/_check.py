@@ -60,10 +60,16 @@ def describe_file(
         if isinstance(tables.get("job"), str):
             return _describe_campaign(file, allow_outside=allow_outside)
         return _describe_job(file, allow_outside=allow_outside)
-    from ..io import PROGRAM_FORMATS, ProgramSetup, read_program
+    from ..io import PROGRAM_FORMATS, ProgramError, ProgramSetup, read_program
     from ..toolpath import Path
 
     if suffix not in PROGRAM_FORMATS:
+        try:
+            read_program(file)
+        except ProgramError as error:
+            # Another language is named by its lines.
+            if error.faults[0].line:
+                raise
         raise ValueError(
             f"{file}: found the suffix {suffix!r}; allowed: .toml (job or "
             f"identification), {', '.join(PROGRAM_FORMATS)}"

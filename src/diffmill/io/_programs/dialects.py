@@ -14,16 +14,18 @@ class _Dialect(NamedTuple):
     """A language, and how a line of it shows.
 
     Attributes:
-        name: Its name, and what can be done.
+        name: Its name.
         suffixes: Suffixes under which it is read; none if it is not.
         mark: What only its lines have; comments of G-code are taken out before.
         header: What only its comments have.
+        instead: What to post where it is not read.
     """
 
     name: str
     suffixes: tuple[str, ...]
     mark: re.Pattern[str]
     header: re.Pattern[str] | None = None
+    instead: str = "G-code as LinuxCNC and Fanuc controls read it"
 
 
 def _pattern(*parts: str) -> re.Pattern[str]:
@@ -31,6 +33,7 @@ def _pattern(*parts: str) -> re.Pattern[str]:
     return re.compile(rf"\s*(?:N?\d+\s+)?(?:{'|'.join(parts)})", re.IGNORECASE)
 
 
+_OF_ROBOTS = "the path as APT (CLDATA), or as points over time in a .csv"
 _DIALECTS = (
     _Dialect(
         "KRL",
@@ -75,6 +78,18 @@ _DIALECTS = (
         ),
         re.compile(r";\s*(?:%_N_\w+|\$PATH=)", re.IGNORECASE),
     ),
+    _Dialect(
+        "a program of Fanuc robots",
+        (),
+        _pattern(r"/(?:PROG|ATTR|MN|POS)\b", r"J\s+P\[\d+", r"L\s+P\[\d+"),
+        instead=_OF_ROBOTS,
+    ),
+    _Dialect(
+        "a job of Yaskawa robots",
+        (),
+        _pattern(r"/JOB\s*$", r"//(?:NAME|POS|INST)\b", r"MOV[LJC]\s+[CP]\d+"),
+        instead=_OF_ROBOTS,
+    ),
 )
 _DECIMAL_COMMA = re.compile(r"[XYZIJKRFQ]\s*[+-]?\d+,\d+", re.IGNORECASE)
 
@@ -96,14 +111,16 @@ def recognised(text: str, suffix: str, *, is_gcode: bool) -> Fault | None:
     for number, row in enumerate(rows, 1):
         code = _COMMENT.sub(" ", row)
         for dialect in _DIALECTS:
-            if suffix in dialect.suffixes or not (is_gcode or dialect.suffixes):
+            if suffix in dialect.suffixes:
+                continue
+            if not (is_gcode or dialect.suffixes or dialect.instead == _OF_ROBOTS):
                 continue
             is_header = dialect.header is not None and dialect.header.match(row.strip())
             line = row if dialect.suffixes else code
             if not (is_header or dialect.mark.match(line)):
                 continue
-            message = f"this is {dialect.name}, which is not read; needed is G-code as "
-            message += "LinuxCNC and Fanuc controls read it, KRL, RAPID or APT."
+            message = f"this is {dialect.name}, which is not read; needed is "
+            message += f"{dialect.instead}, KRL, RAPID or APT."
             if dialect.suffixes:
                 message = f"this is {dialect.name}; needed is one of its suffixes, "
                 message += f"{', '.join(dialect.suffixes)}."

@@ -60,7 +60,10 @@ def read_program(
         fault = Fault(
             0, "", f"the suffix {suffix!r} is not known; allowed: {allowed()}."
         )
-        raise ProgramError(str(path), [fault])
+        named = None
+        if path.is_file():
+            named = recognised(read_text(path), suffix, is_gcode=True)
+        raise ProgramError(str(path), [named or fault])
     text = read_text(path)
     try:
         return _parsed(text, path, setup)

@@ -331,6 +331,10 @@ def _compile(row: str, line: int, reader: _Rapid) -> None:
             return
         reader.branches.append(Branch(line))
         code.begin_if(line, reader.condition(texts.expression(condition)))
+        if rest[:4].upper() == "THEN":
+            # A condition of several lines goes on with the statement behind it.
+            _compile(rest[4:].strip(), line, reader)
+            return
         _compile(rest, line, reader)
         reader.branches.pop()
         code.end(line, ("if",))
@@ -372,7 +376,7 @@ def _compile_routine(match: re.Match[str], line: int, reader: _Rapid) -> None:
         if not words:
             continue
         names.append(words[-1])
-        if words[0] in ("VAR", "PERS", "INOUT"):
+        if words[0].startswith(("VAR", "PERS", "INO")):
             returned.append(words[-1])
         reader.kinds[words[-1]] = words[-2] if len(words) > 1 else ""
     reader.routine, reader.returned[name] = name, tuple(returned)

@@ -157,7 +157,7 @@ def _size(name: str, values: list[Any], turns: dict[str, Any]) -> Value:
     return len(array)
 
 
-_FUNCTIONS: dict[str, Callable[[str, list[Any], dict[str, Any]], Value]] = {
+_FUNCTIONS = {
     "OFFS": _moved,
     "RELTOOL": _moved,
     "ORIENTZYX": _orient,
