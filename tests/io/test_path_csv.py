@@ -135,3 +135,59 @@ def test_only_a_stated_axis_is_turned(tmp_path):
         file.write_text("\n".join(map(str.format, rows, more)))
         path = read_path_csv(file, is_axis_to_tip=True)
         assert np.asarray(path.axes)[:, 2].tolist() == [1, 1]
+
+
+T = "Time [ms]\tX [mm]\tY [mm]\tZ [mm]"
+
+
+@pytest.mark.parametrize(
+    ("text", "lean"),
+    [
+        # Tabs and decimal commas, below a header of its own.
+        (f"Recorder 3\n\n{T}\n0,0\t1,5\t2\t3\n4,0\t1,5\t2\t4\n8,0\t1,5\t2\t5\n", 0),
+        # A clock, units in a row of their own, A B C of a tool that leans by 30 deg.
+        (
+            "Time;X;Y;Z;A;B;C\ns;mm;mm;mm;deg;deg;deg\n"
+            "23:59:59,996;1,5;2;3;0;30;180\n00:00:00,000;1,5;2;4;0;30;180\n"
+            "00:00:00,004;1,5;2;5;0;30;180\n",
+            30,
+        ),
+        # A quaternion of a tool that points down.
+        (
+            "t (s),TCP_X (mm),TCP_Y (mm),TCP_Z (mm),q1,q2,q3,q4\n"
+            "7,1.5,2,3,0,1,0,0\n7.004,1.5,2,4,0,1,0,0\n7.008,1.5,2,5,0,1,0,0\n",
+            0,
+        ),
+    ],
+)
+def test_tables_of_recorders(read, text, lean):
+    path = read(text)
+    np.testing.assert_allclose(path.time, [0, 0.004, 0.008], atol=1e-12)
+    places = 1e-3 * np.array([[1.5, 2, 3], [1.5, 2, 4], [1.5, 2, 5]])
+    np.testing.assert_allclose(path.positions, places, atol=1e-12)
+    # B turns about y, so that the shank, which points up, leans to +x.
+    axis = [np.sin(np.radians(lean)), 0, np.cos(np.radians(lean))]
+    np.testing.assert_allclose(path.axes, [np.abs(axis)] * 3, atol=1e-12)
+
+
+def test_a_row_that_is_written_twice_is_left_out(read):
+    rows = [f"{4 * k}\t{k}\t0\t0" for k in range(300)]
+    rows.insert(7, rows[6])
+    path = read("\n".join([T, *rows]))
+    np.testing.assert_allclose(path.time, 4e-3 * np.arange(300), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("text", "part"),
+    [
+        ("Time [s];X;Y;Z\n0;1;2;3\n1;2;3;4\n2;3;4;5\n", "has no unit"),
+        ("Time [s];X [mm];Y [mm]\n0;1;2\n1;2;3\n2;3;4\n", "x, y"),
+        ("no table\nat all\n", "no table"),
+        (f"{T}\tA [deg]\n" + "0\t1\t2\t3\t4\n4\t1\t2\t3\t4\n" * 2, "all of A, B, C"),
+        (f"{T}\n" + "".join(f"{k}\t1\t2\t3\n" for k in (9, 8, 7, 6)), "in order"),
+        (f"{T}\n0\t1e9\t2\t3\n4\t1\t2\t3\n8\t1\t2\t3\n", "from zero"),
+    ],
+)
+def test_tables_that_leave_something_open_are_refused(read, text, part):
+    with pytest.raises(ProgramError, match=part):
+        read(text)

@@ -2,12 +2,14 @@
 
 import os
 import pathlib
+import re
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from .._messages import shown
 from ..toolpath import Path
+from ._path_record import read_recorded_path
 from ._programs.faults import Fault, ProgramError
 from ._programs.limits import FARTHEST
 from ._programs.text import read_text
@@ -32,7 +34,9 @@ def read_path_csv(
     (or `time_ms`, `x_m`, `x_in` and so on), `rapid` (0 or 1), `feed_mm_per_min`,
     `line` and the tool axis `i,j,k` may follow in any order. Columns are separated by
     semicolons, tabs or commas; between semicolons or tabs, numbers may have a decimal
-    comma. Empty lines and lines that start with # are left out.
+    comma. Empty lines and lines that start with # are left out. A table with another
+    header is read as a record of measurements: `Time [ms];X [mm];...`, with A, B, C or
+    a quaternion, a clock, stamps that repeat.
 
     Args:
         file: Path of the file.
@@ -48,7 +52,18 @@ def read_path_csv(
         ProgramError: If anything in the file is wrong; up to 20 faults are listed.
     """
     path = pathlib.Path(file)
-    return _path_of_text(read_text(path), path.name, is_axis_to_tip=is_axis_to_tip)
+    text = read_text(path)
+    if text.strip() and not _is_own(text):
+        return read_recorded_path(path)
+    return _path_of_text(text, path.name, is_axis_to_tip=is_axis_to_tip)
+
+
+def _is_own(text: str) -> bool:
+    """True if a text has the header of a path, with a fault or without."""
+    rows = (row for row in text.splitlines() if row.strip())
+    header = next((row for row in rows if not row.lstrip().startswith("#")), "")
+    names = re.findall(r"\b(time|[xyz])_[a-z]+\b", header.lower())
+    return len(set(names)) >= 2 and "[" not in header
 
 
 def _refused(name: str, faults: list[str]) -> ProgramError:
