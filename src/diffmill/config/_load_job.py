@@ -184,6 +184,12 @@ def _read_parts(
             found = base_note(T_base_work, program, is_stated=work is not None)
             context.notes.extend(found + tool_note(fitted.T_flange_tool, program))
         rotation, is_arm = table.tool_rotation, robot is not None
+        if rotation == "fixed" and getattr(program, "states_rotation", False):
+            context.notes.append(
+                '[robot] tool_rotation: "fixed" leaves the rotation about the tool axis '
+                "out that the program states; what is written has x of the tool as near "
+                "to x of work as can be, which turns the last axis"
+            )
         program = rotated_as_asked(rotation, program, problems, is_arm=is_arm)
     if cutter is not None and tables.force is not None:
         tables.force.check_teeth(cutter.flute_count, problems)
@@ -480,6 +486,9 @@ def _completed_output(
         formats=formats,
         tool_axis=axis or OutputSettings.tool_axis,
         first_angles=getattr(program, "first_angles", None),
+        first_status=getattr(program, "first_status", ()),
+        source_axis=getattr(program, "tool_axis", None),
+        pass_over=() if table is None else tuple(table.pass_over),
     )
 
 

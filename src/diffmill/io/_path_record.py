@@ -14,8 +14,8 @@ from ._records.quantity import TIME_COLUMN, Quantity
 from ._records.reader import TableReader
 from ._records.table import RecordError
 
-_WORD = r"(?:(?:pos|position|tcp|tip|tool|robot|act|actual|ist|meas)[\s_.\-]*)*"
-_BEHIND = r"(?:[\s_.\-]*(?:pos|position|act|actual|ist|meas|tcp))*"
+_WORD = r"(?:(?:pos|position|tcp|tip|tool|robot|act|actual|meas|measured)[\s_.\-]*)*"
+_BEHIND = r"(?:[\s_.\-]*(?:pos|position|act|actual|meas|tcp))*"
 _PLACE = tuple(
     Quantity(name, rf"{_WORD}{name}{_BEHIND}", (LENGTH,), (name,)) for name in "xyz"
 )

@@ -29,6 +29,9 @@ class OutputSettings(Settings, table="output"):
         tool_axis: Axis of a controller's tool that points from the shank to the tip.
         first_angles: A, B and C with which the program's first position is written
             [deg], if it has them.
+        first_status: Which way the joints of a robot reach it, see `Program`.
+        source_axis: `tool_axis` of the program that is corrected.
+        pass_over: Routines that it calls and that move nothing.
     """
 
     formats: Formats = key(
@@ -64,6 +67,9 @@ class OutputSettings(Settings, table="output"):
         follows=True,
     )
     first_angles: tuple[float, float, float] | None = None
+    first_status: tuple[float, ...] = ()
+    source_axis: str | None = None
+    pass_over: tuple[str, ...] = ()
 
     @property
     def suffixes(self) -> tuple[str, ...]:

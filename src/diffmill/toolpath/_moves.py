@@ -244,6 +244,10 @@ class Program:
         work_rpy: Orientation of `work` in it: roll, pitch and yaw [rad].
         first_angles: Angles A, B, C with which the first position is written [deg]:
             two triples state the same orientation.
+        first_status: Which way the joints of a robot reach the first position: status
+            and turn (KRL), or the four numbers of a configuration (RAPID).
+        tool_axis: Axis of the controller's tool in its source that points from the
+            shank to the tip; None in a format without one.
     """
 
     moves: tuple[Move, ...]
@@ -256,6 +260,8 @@ class Program:
     work_position: Point | None = None
     work_rpy: Point | None = None
     first_angles: Point | None = None
+    first_status: tuple[float, ...] = ()
+    tool_axis: str | None = None
 
     def __post_init__(self):
         if not 0 <= self.approach_count <= len(self.moves):

@@ -49,7 +49,10 @@ def written_errors(
     for suffix in job.output.suffixes:
         name, axis = f"corrected{suffix}", job.output.tool_axis
         period = float(job.tooth_period)
-        paths[name] = written_path(folder / name, period, tool_axis=axis)
+        passed = job.output.pass_over
+        paths[name] = written_path(
+            folder / name, period, tool_axis=axis, pass_over=passed
+        )
         readings[name] = "read back and run"
     if job.output.stream_cycle > 0:
         stream = OffsetStream.read(folder / "stream.csv")
@@ -89,6 +92,7 @@ def written_path(
     tooth_period: float,
     *,
     tool_axis: Literal["x", "y", "z", "-x", "-y", "-z"] = "z",
+    pass_over: tuple[str, ...] = (),
 ) -> "Path | None":
     """Path of a written program; None if its moves do not state their times.
 
@@ -96,10 +100,11 @@ def written_path(
         file: The program.
         tooth_period: Time between the rows of the path [s].
         tool_axis: Axis of a controller's tool that points from the shank to the tip.
+        pass_over: Routines that the program calls and that move nothing.
     """
     from ...toolpath import Move, Path, sample_program
 
-    program = read_written(file, tool_axis)
+    program = read_written(file, tool_axis, pass_over)
     assert not isinstance(program, Path)
     if count := program.approach_count:
         # A rest at the first point is a part of the command, but not of a program.
@@ -195,6 +200,9 @@ def corrected_files(
             program = dataclasses.replace(
                 Program.of_path(blocks, name="corrected"),
                 first_angles=output.first_angles,
+                first_status=output.first_status,
+                source=job.program,
+                tool_axis=output.source_axis,
             )
             files[name] = write_program(
                 program,
@@ -203,6 +211,12 @@ def corrected_files(
                 is_spline=is_spline,
                 tool_axis=output.tool_axis,
             )
+            if suffix == ".src" and not is_spline:
+                lines.append(
+                    f"note: {name}: a controller of KUKA stops where straight pieces "
+                    "of a SPLINE block meet at an angle, and then does not keep their "
+                    'times; [output] blocks = "spline" has no such corners'
+                )
         lines.append(
             f"{name}: {blocks.step_count - 1} blocks instead of "
             f"{path.step_count - 1}, within {output.tolerance * 1e6:g} um at any time"

@@ -14,13 +14,16 @@ if TYPE_CHECKING:
 
 
 def read_written(
-    file: pathlib.Path, tool_axis: Literal["x", "y", "z", "-x", "-y", "-z"]
+    file: pathlib.Path,
+    tool_axis: Literal["x", "y", "z", "-x", "-y", "-z"],
+    pass_over: tuple[str, ...] = (),
 ) -> "Program | Path":
     """Program that was written with an axis of a controller's tool."""
     from ...io import ProgramSetup, read_program
 
     is_of_robot = file.suffix in (".src", ".mod", ".modx", ".prg")
-    setup = ProgramSetup(tool_axis=tool_axis if is_of_robot else None)
+    axis = tool_axis if is_of_robot else None
+    setup = ProgramSetup(tool_axis=axis, pass_over=pass_over)
     return read_program(file, setup=setup)
 
 
@@ -77,7 +80,7 @@ def moved_path(
     from ...toolpath import BlockEnds, Program
 
     file = folder / f"moved{given.suffix}"
-    program = read_written(file, job.output.tool_axis)
+    program = read_written(file, job.output.tool_axis, job.output.pass_over)
     assert isinstance(program, Program)
     assert job.timing is not None
     path = job.timing.timed(program).path(float(job.tooth_period))

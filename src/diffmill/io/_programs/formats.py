@@ -166,7 +166,8 @@ def write_program(
         tolerance: How far straight pieces may lie beside an arc that the format does
             not know, and corners be rounded where times are needed [m].
         is_spline: Whether the rows of a path are points of a spline; KRL only.
-        frame: What G-code says beside the motion; other formats leave it out.
+        frame: What G-code says beside the motion; other formats leave it out. KRL and
+            RAPID take theirs from the source of the program.
         tool_axis: Axis of a controller's tool that points from the shank to the tip;
             KRL and RAPID only.
 

@@ -149,6 +149,7 @@ class _Krl(Reader):
         self.values: dict[str, float] = dict.fromkeys("XYZ", 0.0) | self.upright
         self.is_turned = False
         self.first_angles: Point | None = None
+        self.first_status: tuple[float, ...] = ()
         self.turns = {"ORI_TYPE": "VAR", "CIRC_TYPE": "BASE"}
         self.line_data: dict[str, str] = {}
         self.external, self.external_axes = dict[str, float](), ExternalAxes()
@@ -259,6 +260,8 @@ def parse_krl(
         work_position=position,
         work_rpy=rpy,
         first_angles=reader.first_angles,
+        first_status=reader.first_status,
+        tool_axis=tool_axis,
     )
 
 
@@ -405,7 +408,7 @@ def _components(text: str, line: int, reader: Reader) -> dict[str, float]:
         if bits := _BITS.fullmatch(part):
             base = 2 if bits[2] in "Bb" else 16
             with contextlib.suppress(ValueError):
-                components[bits[1].upper()] = int(bits[3], base)
+                components[bits[1].upper()] = float(int(bits[3], base))
             continue
         match = _COMPONENT.fullmatch(part)
         if match is None:
@@ -715,6 +718,8 @@ def _take_orientation(pose: dict[str, float], line: int, reader: _Krl) -> None:
     if reader.first_angles is None:
         angles = _apply(pose, reader.values)
         reader.first_angles = (angles["A"], angles["B"], angles["C"])
+        if "S" in pose and "T" in pose:
+            reader.first_status = (pose["S"], pose["T"])
     reader.is_turned = True
 
 

@@ -132,6 +132,7 @@ class _Rapid(Reader):
         # Numbers of tools by name, in the order in which motions use them.
         self.tools: dict[str, int] = {}
         self.first_tool, self.first_line = "", 0
+        self.first_status: tuple[float, ...] = ()
         # Share of a programmed speed, and the largest that is left of it [m/s].
         self.override, self.fastest = 1.0, math.inf
 
@@ -258,7 +259,12 @@ def parse_rapid(
             rpy = rpy_of_rotation(tool_rotation(R, tool_axis))
             part = part._replace(tool_position=position, tool_rpy=rpy)
         sections.append(part)
-    return dataclasses.replace(program, sections=tuple(sections))
+    return dataclasses.replace(
+        program,
+        sections=tuple(sections),
+        first_status=reader.first_status,
+        tool_axis=tool_axis,
+    )
 
 
 def _statements(rows: list[str]) -> Iterator[tuple[int, str]]:
@@ -596,6 +602,8 @@ def _target(text: str, line: int, reader: _Rapid) -> ToolPlace:
         return ToolPlace((x, y, z), reader.axis)
     axes = dict(zip(_EXTERNAL, values[11:17], strict=True))
     reader.external_axes.take(axes, line, reader)
+    if not reader.first_status:
+        reader.first_status = tuple(values[7:11])
     turn = _orientation(*values[3:7], tool_axis=reader.tool_axis)
     return turn._replace(tip=(x, y, z))
 

@@ -16,6 +16,7 @@ from ..geometry import (
     quaternion_of_rotation,
     straight_pieces,
 )
+from .robot_frame import RobotFrame, robot_frame
 
 # Beyond this angle a controller could take the other way round a circle.
 _LARGEST_ARC = math.radians(170.0)
@@ -32,6 +33,7 @@ def write_krl(
 ) -> str:
     """Return a program as KRL.
 
+    What its source in KRL says around the motion stays: base, tool, outputs, comments.
     Moves with a duration become a SPLINE block whose TIME_BLOCKs state it. Positions
     are in the base that is in force, which is `work`, of the tool's tip. Where the
     program leaves the rotation about the tool axis open, x of the tool is as near to x
@@ -46,9 +48,11 @@ def write_krl(
         tool_axis: Axis of the controller's tool that points from the shank to the tip.
     """
     name = re.sub(r"\W", "_", program.name.split(".")[0])[:24] or "part"
+    around = _around(program, ".src", tool_axis)
     lines = ["&ACCESS RVP", f"DEF {name if name[0].isalpha() else 'p' + name}( )"]
-    texts = (*header, _reminder(program, tool_axis))
+    texts = (*header, *around.comments, *_reminder(program, tool_axis, around))
     lines += [f";{' '.join(text.split())}" for text in texts]
+    lines += around.opening
     frame = _frames(program, tool_axis)
     feed, timed = None, []
     moves = _placed(program, tolerance)
@@ -70,11 +74,16 @@ def write_krl(
             lines.append(f"CIRC {middle},{frame(move)}")
         elif index == 0 or goes:
             word = "PTP" if move.is_rapid else "LIN"
-            lines.append(f"{word} {frame(move)}")
+            place = frame(move)
+            if index == 0 and len(program.first_status) == 2:
+                status, turn = (int(one) for one in program.first_status)
+                place = f"{place[:-1]},S {status},T {turn}}}"
+            lines.append(f"{word} {place}")
         seconds = move.rest or (move.duration or 0.0)
         if seconds:
             lines.append(_krl_dwell(seconds))
-    return "\n".join([*lines, *_time_blocks(timed, is_spline, frame), "END"]) + "\n"
+    lines += _time_blocks(timed, is_spline, frame)
+    return "\n".join([*lines, *around.closing, "END"]) + "\n"
 
 
 def _krl_dwell(seconds: float) -> str:
@@ -82,14 +91,31 @@ def _krl_dwell(seconds: float) -> str:
     return f"WAIT SEC {seconds:.9g}"
 
 
-def _reminder(program: Program, tool_axis: ToolAxis) -> str:
+def _around(program: Program, suffix: str, tool_axis: ToolAxis) -> RobotFrame:
+    """What stands around the motion in the source of a program of the same language.
+
+    Its tool is that of the positions only where the same axis of it points to the tip.
+    """
+    if program.tool_axis != tool_axis:
+        return RobotFrame()
+    return robot_frame(program.source, suffix, [move.line for move in program.moves])
+
+
+def _reminder(
+    program: Program, tool_axis: ToolAxis, around: RobotFrame
+) -> tuple[str, ...]:
     """Reminder of the settings that the file needs before it runs on a robot."""
+    if around.states_frames:
+        text = (
+            "base, tool and outputs are those of the program that was corrected; see "
+        )
+        return (f"{text}to the way to the first point before it runs",)
     speed = program.spindle_speed
     spindle = "" if speed is None else f" at {speed * 30 / math.pi:g} rpm"
     return (
         "motion only: before it runs, see to the base (zero of the workpiece), the "
         f"tool (its tip, {tool_axis} of it pointing from the shank to the tip), the "
-        f"way there, and the spindle{spindle}"
+        f"way there, and the spindle{spindle}",
     )
 
 
@@ -101,9 +127,12 @@ def write_rapid(
     tool_axis: ToolAxis = "z",
 ) -> str:
     """Return a program as a module of RAPID; arguments as `write_krl`."""
-    lines = ["MODULE part", "  PROC main()"]
-    texts = (*header, _reminder(program, tool_axis))
+    around = _around(program, ".mod", tool_axis)
+    lines = ["MODULE part", *(f"  {one}" for one in around.data), "  PROC main()"]
+    texts = (*header, *around.comments, *_reminder(program, tool_axis, around))
     lines += [f"    ! {' '.join(text.split())}" for text in texts]
+    lines += [f"    {one};" for one in around.opening]
+    held = around.held
     moves = _placed(program, tolerance)
     for index, move in enumerate(moves):
         goes = _goes(move) or _turns(moves, index)
@@ -114,16 +143,18 @@ def write_rapid(
             speed = f"v1000\\T:={move.duration:.9g}"
         elif move.feed is not None:
             speed = f"v1000\\V:={move.feed * 1e3:.9g}"
-        end = _target(move, tool_axis)
+        status = program.first_status if index == 0 else ()
+        end = _target(move, tool_axis, status)
         if move.centre is not None:
             middle = _target(move._replace(end=_middle(move)), tool_axis)
-            lines.append(f"    MoveC {middle},{end},{speed},{zone},tool0;")
+            lines.append(f"    MoveC {middle},{end},{speed},{zone},{held};")
         elif index == 0 or goes:
             word = "MoveJ" if move.is_rapid else "MoveL"
-            lines.append(f"    {word} {end},{speed},{zone},tool0;")
+            lines.append(f"    {word} {end},{speed},{zone},{held};")
         seconds = move.rest or (0.0 if goes else move.duration or 0.0)
         if seconds:
             lines.append(f"    WaitTime {seconds:.9g};")
+    lines += [f"    {one};" for one in around.closing]
     return "\n".join([*lines, "  ENDPROC", "ENDMODULE"]) + "\n"
 
 
@@ -254,12 +285,14 @@ def _quaternion(
     return quaternion_of_rotation(controller_matrix(axis, tool_x, tool_axis))
 
 
-def _target(move: Move, tool_axis: ToolAxis) -> str:
-    """Return a robtarget of RAPID."""
+def _target(move: Move, tool_axis: ToolAxis, status: Sequence[float] = ()) -> str:
+    """Return a robtarget of RAPID, with the configuration of the arm if it is known."""
+    configuration = ",".join(_short(one) for one in status) if len(status) == 4 else ""
+    configuration = configuration or "0,0,0,0"
     place = ",".join(_short(1e3 * value) for value in move.end)
     quaternion = _quaternion(move.axis, move.tool_x, tool_axis)
     turn = ",".join(_short(value, 9) for value in quaternion)
-    return f"[[{place}],[{turn}],[0,0,0,0],[9E9,9E9,9E9,9E9,9E9,9E9]]"
+    return f"[[{place}],[{turn}],[{configuration}],[9E9,9E9,9E9,9E9,9E9,9E9]]"
 
 
 def _short(value: float, decimals: int = 6) -> str:
