@@ -166,6 +166,16 @@ def test_what_may_change_tool_place_or_arm_is_refused(faults, row):
     assert [line for line, _ in faults(krl(H, row, "LIN {X 12}"))] == [4]
 
 
+def test_a_work_object_that_changes_is_refused(read, faults):
+    work = '[FALSE,TRUE,"",[[{},0,0],[1,0,0,0]],[[0,0,0],[1,0,0,0]]]'
+    data = f"PERS wobjdata part:={work.format(0)};\n"
+    first = f"part:={work.format(7)};\n"
+    program = read(rapid(first, move(0), move(9), data=data), ".mod")
+    assert program.work_position == pytest.approx((7e-3, 0, 0))
+    for row in (f"part:={work.format(8)};\n", "part.uframe.trans.x:=7;\n"):
+        assert faults(rapid(first, move(0), row, move(9), data=data), ".mod")[0][0] == 6
+
+
 @pytest.mark.parametrize("row", ["ActUnit STN1;", "EOffsSet e1;", "PDispOn p1,tool0;"])
 def test_units_and_offsets_of_rapid_are_refused(faults, row):
     assert [line for line, _ in faults(rapid(row, move(0), move(9)), ".mod")] == [3]

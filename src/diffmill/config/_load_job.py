@@ -186,9 +186,9 @@ def _read_parts(
         rotation, is_arm = table.tool_rotation, robot is not None
         if rotation == "fixed" and getattr(program, "states_rotation", False):
             context.notes.append(
-                '[robot] tool_rotation: "fixed" leaves the rotation about the tool axis '
-                "out that the program states; what is written has x of the tool as near "
-                "to x of work as can be, which turns the last axis"
+                '[robot] tool_rotation: "fixed" leaves out the rotation about the tool '
+                "axis that the program states; what is written has x of the tool as "
+                "near to x of work as can be, which turns the last axis"
             )
         program = rotated_as_asked(rotation, program, problems, is_arm=is_arm)
     if cutter is not None and tables.force is not None:

@@ -21,7 +21,7 @@ from ..expressions import (
 )
 from ..geometry import abc_of_rotation, rotation_of_abc
 from ..limits import MOST_VALUES
-from .texts import Texts
+from .texts import FUNCTIONS, ORDERS, Texts, logical
 
 _TOKEN = re.compile(
     r"\s*(?:(?P<number>(?:\d+\.?\d*|\.\d+)(?:E[+-]?\d+)?)"
@@ -58,15 +58,6 @@ _LENGTHS = frozenset({*_AXES, *_EXTERNAL, *_JOINTS})
 Frame = dict[str, float]
 
 
-def _logical(action: Callable[[bool, bool], bool]) -> Callable[[Value, Value], Value]:
-    def value(a: Value, b: Value) -> Value:
-        if isinstance(a, bool) and isinstance(b, bool):
-            return action(a, b)
-        raise TypeError
-
-    return value
-
-
 def _quotient(a: Any, b: Any) -> Value:
     """Quotient; that of two whole numbers is cut to a whole one."""
     return int(a / b) if isinstance(a, int) and isinstance(b, int) else a / b
@@ -74,10 +65,6 @@ def _quotient(a: Any, b: Any) -> Value:
 
 def _negative(x: Any) -> Value:
     return -x
-
-
-def _size(x: Any) -> Value:
-    return abs(x)
 
 
 def _product(a: Value, b: Value) -> Value:
@@ -105,10 +92,6 @@ def _pose(
 
 def _frame(at: Float[np.ndarray, "3"], R: Float[np.ndarray, "3 3"]) -> Value:
     return dict(zip("XYZABC", [*at.tolist(), *abc_of_rotation(R)], strict=True))
-
-
-def _degrees(action: Callable[[float], float]) -> Callable[[Any], Value]:
-    return lambda x: action(math.radians(x))
 
 
 def _operand(parser: Parser) -> Expression | None:
@@ -169,17 +152,10 @@ class KrlValues:
             token=_TOKEN,
             # The operators of comparison bind least of all.
             binary=(
-                {
-                    "==": operator.eq,
-                    "<>": operator.ne,
-                    "<": operator.lt,
-                    ">": operator.gt,
-                    "<=": operator.le,
-                    ">=": operator.ge,
-                },
-                {"OR": _logical(operator.or_), "B_OR": operator.or_},
-                {"EXOR": _logical(operator.xor), "B_EXOR": operator.xor},
-                {"AND": _logical(operator.and_), "B_AND": operator.and_},
+                {"==": operator.eq, **ORDERS},
+                {"OR": logical(operator.or_), "B_OR": operator.or_},
+                {"EXOR": logical(operator.xor), "B_EXOR": operator.xor},
+                {"AND": logical(operator.and_), "B_AND": operator.and_},
                 {"+": operator.add, "-": operator.sub},
                 {"*": operator.mul, "/": _quotient},
                 {":": _product},
@@ -189,16 +165,7 @@ class KrlValues:
                 "+": (lambda x: x, 6),
                 "NOT": (operator.not_, 6),
             },
-            functions={
-                "SQRT": math.sqrt,
-                "ABS": _size,
-                "SIN": _degrees(math.sin),
-                "COS": _degrees(math.cos),
-                "TAN": _degrees(math.tan),
-                "ACOS": lambda x: math.degrees(math.acos(x)),
-                "ATAN2": lambda y, x: math.degrees(math.atan2(y, x)),
-                "INV_POS": _inverse,
-            },
+            functions={**FUNCTIONS, "INV_POS": _inverse},
             constants={
                 "TRUE": True,
                 "FALSE": False,

@@ -438,7 +438,7 @@ def _statement(row: str, line: int, reader: _Rapid) -> None:
     elif match := _DECLARED.fullmatch(row):
         _declare(match, line, reader)
     elif match := _ASSIGNED.fullmatch(row):
-        _assign(match[1], match[2], reader)
+        _assign(match[1], match[2], line, reader)
     elif match := _WAIT.fullmatch(row):
         duration = reader.number(match[1])
         if math.isnan(duration) and not re.fullmatch(NUMBER, match[1].strip()):
@@ -497,12 +497,28 @@ def _call(match: re.Match[str], line: int, reader: _Rapid) -> bool:
     return True
 
 
-def _assign(place: str, value: str, reader: _Rapid) -> None:
+def _assign(place: str, value: str, line: int, reader: _Rapid) -> None:
     """Carry out an assignment.
 
     Raises:
         ExpressionError: If the value has a fault, or nothing can take it.
     """
+    name, *parts = re.split(r"\s*[.{]", place.lower())
+    for kind, known in (
+        ("tooldata", reader.tool_data),
+        ("wobjdata", reader.work_objects),
+    ):
+        if name not in known:
+            continue
+        before = known[name]
+        if not parts:
+            _store_data(kind, name, value, line, reader)
+        if parts or (reader.out.moves and known[name] != before):
+            message = (
+                "a tool or a work object that changes is not supported; needed is "
+            )
+            reader.refuse(line, place, f"{message}another one, with its own name.")
+        return
     texts, found = reader.texts, reader.texts.place(place)
     name = str(found.name(texts.variables))
     is_component = any(isinstance(step, str) for step in found.path)

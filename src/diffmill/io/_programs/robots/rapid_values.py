@@ -19,7 +19,7 @@ from ..expressions import (
 )
 from ..geometry import quaternion_of_rotation, rotation_of_abc, rotation_of_quaternion
 from ..limits import MOST_VALUES
-from .texts import Texts
+from .texts import FUNCTIONS, ORDERS, Texts, logical
 
 _TOKEN = re.compile(
     r"\s*(?:(?P<number>(?:\d+\.?\d*|\.\d+)(?:E[+-]?\d+)?)|(?P<text>\"[^\"]*\")"
@@ -83,15 +83,6 @@ def numbers_of(value: Value) -> list[float]:
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise ExpressionError("", "a component has no value in numbers.")
     return [float(value)]
-
-
-def _truth(action: Callable[[bool, bool], bool]) -> Callable[[Value, Value], Value]:
-    def value(a: Value, b: Value) -> Value:
-        if isinstance(a, bool) and isinstance(b, bool):
-            return action(a, b)
-        raise TypeError
-
-    return value
 
 
 def _sum(sign: float) -> Callable[[Any, Any], Value]:
@@ -196,10 +187,6 @@ def _operand(parser: Parser) -> Expression | None:
     return value
 
 
-def _of_degrees(action: Callable[[float], float]) -> Callable[[Any], Value]:
-    return lambda x: action(math.radians(x))
-
-
 def texts_of_rapid(
     missing: Callable[[Name], Value],
     call: Callable[[str, list[Expression]], Expression],
@@ -213,16 +200,9 @@ def texts_of_rapid(
     grammar = Grammar(
         token=_TOKEN,
         binary=(
-            {"OR": _truth(operator.or_), "XOR": _truth(operator.xor)},
-            {"AND": _truth(operator.and_)},
-            {
-                "=": operator.eq,
-                "<>": operator.ne,
-                "<": operator.lt,
-                ">": operator.gt,
-                "<=": operator.le,
-                ">=": operator.ge,
-            },
+            {"OR": logical(operator.or_), "XOR": logical(operator.xor)},
+            {"AND": logical(operator.and_)},
+            {"=": operator.eq, "<>": operator.ne, **ORDERS},
             {"+": _sum(1.0), "-": _sum(-1.0)},
             {
                 "*": _times,
@@ -237,15 +217,9 @@ def texts_of_rapid(
             "NOT": (operator.not_, 2),
         },
         functions={
-            "ABS": lambda x: math.fabs(x),
-            "SQRT": math.sqrt,
-            "SIN": _of_degrees(math.sin),
-            "COS": _of_degrees(math.cos),
-            "TAN": _of_degrees(math.tan),
-            "ACOS": lambda x: math.degrees(math.acos(x)),
+            **FUNCTIONS,
             "ASIN": lambda x: math.degrees(math.asin(x)),
             "ATAN": lambda x: math.degrees(math.atan(x)),
-            "ATAN2": lambda y, x: math.degrees(math.atan2(y, x)),
             "POW": math.pow,
             "EXP": math.exp,
             "TRUNC": lambda x: int(x),

@@ -1,6 +1,9 @@
 """Expressions of a robot's program as text, each read once."""
 
 import math
+import operator
+from collections.abc import Callable, Mapping
+from typing import Any
 
 from ..expressions import (
     Expression,
@@ -13,6 +16,42 @@ from ..expressions import (
     evaluated,
 )
 from ..limits import LARGEST_NUMBER, MOST_VALUES
+
+_Binary = Callable[[Any, Any], Value]
+ORDERS: Mapping[str, _Binary] = {
+    "<>": operator.ne,
+    "<": operator.lt,
+    ">": operator.gt,
+    "<=": operator.le,
+    ">=": operator.ge,
+}
+
+
+def logical(action: Callable[[bool, bool], bool]) -> _Binary:
+    """Operator between two truth values, and between nothing else."""
+
+    def value(a: Value, b: Value) -> Value:
+        if isinstance(a, bool) and isinstance(b, bool):
+            return action(a, b)
+        raise TypeError
+
+    return value
+
+
+def _of_degrees(action: Callable[[float], float]) -> Callable[[Any], Value]:
+    return lambda x: action(math.radians(x))
+
+
+# Angles are in degrees, as on the controllers.
+FUNCTIONS: Mapping[str, Callable[..., Value]] = {
+    "ABS": lambda x: -x if x < 0 else x,
+    "SQRT": math.sqrt,
+    "SIN": _of_degrees(math.sin),
+    "COS": _of_degrees(math.cos),
+    "TAN": _of_degrees(math.tan),
+    "ACOS": lambda x: math.degrees(math.acos(x)),
+    "ATAN2": lambda y, x: math.degrees(math.atan2(y, x)),
+}
 
 
 class Texts:
