@@ -36,7 +36,7 @@ scatter = { force = 0.1 }
 """
 
 
-def fake_simulate(job, *, on_progress):
+def fake_simulate(job, *, on_progress, **options):
     """Return a run whose tool follows the program; the force is made up."""
     count = job.path.step_count
     rows = {
@@ -115,7 +115,7 @@ def test_a_failing_analysis_or_figure_loses_no_run(folder, monkeypatch, capsys):
 def test_a_long_step_says_now_and_then_that_it_goes_on(folder, monkeypatch, capsys):
     event = "/jax/core/compile/backend_compile_duration"
 
-    def simulate(job, *, on_progress):
+    def simulate(job, *, on_progress, **options):
         on_progress("rigid cut", 0.0)
         jax.monitoring.record_scalar(event, 0.0)
         time.sleep(10)

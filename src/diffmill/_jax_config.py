@@ -4,6 +4,7 @@ A script has settings of its own: it asks for the cache, and for nothing else.
 """
 
 import contextlib
+import ctypes
 import errno
 import os
 import pathlib
@@ -136,3 +137,13 @@ def cache_folder() -> pathlib.Path:
     else:
         root = pathlib.Path(os.environ.get("XDG_CACHE_HOME") or home / ".cache")
     return root / "diffmill" / "jax"
+
+
+def give_back_memory() -> None:
+    """Return freed memory to the system.
+
+    A compiled program takes several times its final size while it is made, or read.
+    Where the C library has no such function nothing is done.
+    """
+    with contextlib.suppress(AttributeError, OSError, TypeError):
+        ctypes.CDLL(None).malloc_trim(0)

@@ -1,8 +1,6 @@
 """The analyses and figures of a run, added to results that are already written."""
 
 import concurrent.futures
-import contextlib
-import ctypes
 import dataclasses
 import pathlib
 from collections.abc import Callable, Mapping
@@ -10,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 
+from .._jax_config import give_back_memory
 from .._results_folder import netcdf_bytes
 from ._session.attempts import Attempts
 from ._session.progress import Progress
@@ -88,6 +87,8 @@ def add_analyses(folder: pathlib.Path, run: FinishedRun, progress: Progress) -> 
         ):
             with attempts.at(name):
                 dataset = step(run._replace(dataset=dataset), progress)
+            # The search for chatter has read programs of its own.
+            give_back_memory()
     finally:
         # It includes chatter and scatter; after an interruption it has the others.
         with attempts.at("verdict"):
@@ -99,20 +100,8 @@ def add_analyses(folder: pathlib.Path, run: FinishedRun, progress: Progress) -> 
         result = _write_pictures(target, finished, attempts)
         (target / "result.nc").write_bytes(netcdf_bytes(result))
 
-    # The search for chatter has read programs of its own.
-    give_back_memory()
     attempts.add(folder, fill)
     return attempts.conclude(folder)
-
-
-def give_back_memory() -> None:
-    """Return freed memory to the system.
-
-    A compiled program takes several times its final size while it is made, or read.
-    Where the C library has no such function nothing is done.
-    """
-    with contextlib.suppress(AttributeError, OSError, TypeError):
-        ctypes.CDLL(None).malloc_trim(0)
 
 
 def _with_written(
@@ -316,6 +305,7 @@ def _write_pictures(
             figures = write_figures(folder, run.dataset, is_chosen=of_rows)
         with attempts.at("surface"):
             inputs = computed.result()
+            give_back_memory()
             if inputs["surfaces"]:
                 _write_surface(folder / "surface.nc", inputs["surfaces"])
     with attempts.at("figures"):

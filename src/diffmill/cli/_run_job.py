@@ -8,18 +8,17 @@ import pathlib
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from .._jax_config import configure_jax
+from .._jax_config import configure_jax, give_back_memory
 from .._messages import printable
 from .._results_folder import ResultsFolder
 from ._analyses import (
     FinishedRun,
     add_analyses,
-    give_back_memory,
     job_stability,
     stability_lines,
 )
@@ -358,11 +357,16 @@ def _compute(
     """Run the job; `on_predicted` is called before anything is corrected."""
     from ..sim import simulate
 
+    def keep(arrays: Mapping[str, np.ndarray]) -> None:
+        checkpoint.write(arrays)
+        # What the programs of the first segment took while they were made is free.
+        give_back_memory()
+
     if not is_correction:
         return simulate(
             job,
             on_progress=progress.update,
-            on_checkpoint=checkpoint.write,
+            on_checkpoint=keep,
             resume=checkpoint.resumed,
         )
     from ..correction import correct
@@ -377,7 +381,7 @@ def _compute(
             job,
             on_predicted=on_predicted,
             on_progress=tell,
-            on_checkpoint=checkpoint.write,
+            on_checkpoint=keep,
             resume=checkpoint.resumed,
         )
 

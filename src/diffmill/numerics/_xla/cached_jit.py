@@ -3,8 +3,9 @@
 import collections
 import os
 import threading
+import weakref
 from collections.abc import Callable
-from typing import Any, Generic, ParamSpec, TypeVar, cast
+from typing import Any, ClassVar, Generic, ParamSpec, TypeVar, cast
 
 import equinox as eqx
 import jax
@@ -97,7 +98,10 @@ class CachedJit(Generic[P, R]):
     Differentiability: that of the function; under a trace nothing is prepared or kept.
     """
 
+    _all: ClassVar["weakref.WeakSet[CachedJit[Any, Any]]"] = weakref.WeakSet()
+
     def __init__(self, function: Callable[P, R]):
+        self._all.add(self)
         self._plain = function
         self._function = eqx.filter_jit(function)
         self._tasks: list[_Task] = []
@@ -133,6 +137,19 @@ class CachedJit(Generic[P, R]):
             return self._function(*args, **kwargs)
         run = program.compiled(self._plain.__name__)
         return program.result_of(run(*arrays_of((args, kwargs))))
+
+    def forget(self) -> None:
+        """Free the programs that a store has: up to 150 MB each, of a whole run.
+
+        The next call reads its own again, which takes a second.
+        """
+        self._programs.clear()
+
+    @classmethod
+    def forget_all(cls) -> None:
+        """Free the programs of all functions, as `forget`."""
+        for function in cls._all:
+            function.forget()
 
     def _program(self, arguments: object) -> "_StoredProgram | None":
         """Program for such arguments, from the store or traced; None without a store.

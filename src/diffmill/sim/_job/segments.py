@@ -205,6 +205,8 @@ def _ran(
         if counts is None:
             break
         state = _widened(state, counts)
+        # No segment has as few slots again.
+        _segment.forget()
     counted = [np.asarray(x)[: segment.row_count] for x in (ran.actual, ran.force)]
     outputs = SegmentOutputs(
         rows=rows.of_segment(told, ran),

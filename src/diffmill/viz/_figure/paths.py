@@ -32,6 +32,8 @@ if TYPE_CHECKING:
     import xarray
 
 _FRAME = "#555555"
+# Seen from above.
+_PLANE = np.array([1.0, 1.0, 0.0])
 _SMALLEST = 1e-6  # half side of the smallest zoom [m], for paths without any error
 
 
@@ -144,25 +146,28 @@ def worst_places(dataset: "xarray.Dataset") -> tuple[Place, Place]:
         of the part away from A.
     """
     reference, chosen = reference_case(dataset), chosen_case(dataset)
-    first = _farthest(dataset, "A", reference, None)
+    plan = _in_plan(dataset, reference)
+    first = _farthest(dataset, "A", reference, plan, None)
     if chosen != reference and chosen in shown_cases(dataset):
-        return first, _farthest(dataset, "B", chosen, None)
-    return first, _farthest(dataset, "B", reference, first.centre)
+        plan = _in_plan(dataset, chosen)
+        return first, _farthest(dataset, "B", chosen, plan, None)
+    return first, _farthest(dataset, "B", reference, plan, first.centre)
 
 
 def _farthest(
     dataset: "xarray.Dataset",
     name: str,
     case: str,
+    plan: tuple[Float[np.ndarray, "step 3"], Float[np.ndarray, "step 3"]],
     apart: Float[np.ndarray, " 2"] | None,
 ) -> Place:
-    """Place where a case is farthest off in plan view, not near the point `apart`.
+    """Place where a case is farthest off in `_in_plan`, not near the point `apart`.
 
     A tool that is late on the line is not off it: the longest deviation would mostly
     be where a correction lets the tool lag.
     """
     desired = values_of(dataset, "desired", case)
-    actual, across = _in_plan(dataset, case)
+    actual, across = plan
     off = np.linalg.norm(across, axis=1)
     is_known = cutting_of(dataset, case) & np.isfinite(off)
     if apart is not None:
@@ -182,8 +187,10 @@ def _points_mm(
 
     A tool that is late on the line stays on it; gaps in the air.
     """
-    actual, across = _in_plan(dataset, case)
-    points = actual + (factor - 1) * across
+    points = _plan_path(dataset, case)
+    if factor != 1:
+        points, across = _in_plan(dataset, case)
+        points += (factor - 1) * across
     points[~cutting_of(dataset, case)] = np.nan
     return points * 1e3
 
@@ -191,16 +198,18 @@ def _points_mm(
 def _in_plan(
     dataset: "xarray.Dataset", case: str
 ) -> tuple[Float[np.ndarray, "step 3"], Float[np.ndarray, "step 3"]]:
-    """Path of a case from above, and its way from the desired line [m].
+    """Path of a case from above, and its way from the desired line [m]."""
+    desired = values_of(dataset, "desired", case) * _PLANE
+    actual = _plan_path(dataset, case)
+    return actual, np.asarray(contour_vector(actual, desired), np.float64)
 
-    The path is the one that the walls show, where that is known.
-    """
-    plane = np.array([1.0, 1.0, 0.0])
-    desired = values_of(dataset, "desired", case) * plane
+
+def _plan_path(dataset: "xarray.Dataset", case: str) -> Float[np.ndarray, "step 3"]:
+    """Path of a case from above [m]: the one that the walls show, where it is known."""
     # The deviation that the contour error counts.
     kind = "surface_deviation" if "surface_deviation" in dataset else "deviation"
-    actual = desired + values_of(dataset, kind, case) * plane
-    return actual, np.asarray(contour_vector(actual, desired), np.float64)
+    path = values_of(dataset, "desired", case) + values_of(dataset, kind, case)
+    return path * _PLANE
 
 
 def _draw_plan(

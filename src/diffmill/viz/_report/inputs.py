@@ -6,8 +6,11 @@ from typing import TypedDict
 
 import numpy as np
 
+from ..._jax_config import give_back_memory
 from ..._job import Job
+from ..._padding import LONGEST
 from ..._result import RESULTS
+from ...numerics import CachedJit
 from ...sim import Replay, Solution, ToothChip
 from ...workpiece import SurfaceError
 from .._figure.dexels import CutDexels
@@ -54,10 +57,19 @@ def figure_inputs(
     # More maps would make the report long without telling more.
     mapped = {key: case for key, case in cases.items() if key in (name, chosen)}
     step = _typical_step(first)
-    with concurrent.futures.ThreadPoolExecutor(1) as pool:
-        # Another core compares the surfaces while compiled code runs here.
-        maps = pool.submit(lambda: _surfaces(mapped) if surfaces is None else surfaces)
+    compare = lambda: _surfaces(mapped) if surfaces is None else surfaces
+    if job.path.step_count > LONGEST:
         again = Replay.of_solution(job, first, chip_row=step or 1)
+        # Programs of its segments are as large as what the surfaces take.
+        CachedJit.forget_all()
+        give_back_memory()
+        maps = compare()
+    else:
+        with concurrent.futures.ThreadPoolExecutor(1) as pool:
+            # Another core compares the surfaces while compiled code runs here.
+            compared = pool.submit(compare)
+            again = Replay.of_solution(job, first, chip_row=step or 1)
+            maps = compared.result()
     time, window = np.asarray(first.time), None
     # A run that overflowed is not the process of the figure's caption.
     if bool(again.run.result == RESULTS.successful) and len(again.rows) > 1:
@@ -73,7 +85,7 @@ def figure_inputs(
         dexels=CutDexels.from_stocks(first.stock, first.rigid.stock),
         surfaces={
             key: error
-            for key, error in maps.result().items()
+            for key, error in maps.items()
             if key in mapped and len(error.error)
         },
     )
