@@ -428,6 +428,50 @@ def example(
     return 0
 
 
+def new(
+    program: Annotated[
+        tyro.conf.Positional[pathlib.Path],
+        tyro.conf.arg(metavar="PROGRAM", help="A program or a recorded path."),
+    ],
+    *,
+    robot: Annotated[
+        str | None,
+        tyro.conf.arg(help="A built-in model, or a robot file (.toml, .urdf)."),
+    ] = None,
+    diameter: Annotated[
+        str | None, tyro.conf.arg(help='Diameter of the cutter, such as "10 mm".')
+    ] = None,
+    teeth: Annotated[int | None, tyro.conf.arg(help="Its number of teeth.")] = None,
+    material: Annotated[
+        str | None, tyro.conf.arg(help="Material of the work, by name.")
+    ] = None,
+    speed: Annotated[
+        str | None, tyro.conf.arg(help='Spindle speed, such as "8000 rpm".')
+    ] = None,
+    tool: Annotated[
+        int | None, tyro.conf.arg(help="Number of the tool, of several.")
+    ] = None,
+    out: Annotated[
+        pathlib.Path | None,
+        tyro.conf.arg(help="The job; PROGRAM with .toml if not given."),
+    ] = None,
+    force: _Force = False,
+    shown: _Shown = _Display(),
+) -> int:
+    """Write a commented job for a program; ask on a terminal for what it lacks."""
+    from ._new import JobOptions, run_new
+
+    can_ask = sys.stdin.isatty() and sys.stdout.isatty()
+    return run_new(
+        program,
+        JobOptions(robot, diameter, teeth, material, speed, tool),
+        out,
+        force=force,
+        progress=shown.progress(),
+        ask=input if can_ask else None,
+    )
+
+
 def doctor(*, quiet: _Quiet = False) -> int:
     """Print versions, devices and the compile cache; test the installation."""
     from ._doctor import run_doctor
@@ -543,6 +587,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         "learn": learn,
         "robot": robot,
         "example": example,
+        "new": new,
         "check": check,
         "convert": convert,
         "doctor": doctor,

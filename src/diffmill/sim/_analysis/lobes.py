@@ -23,7 +23,7 @@ from .._machine.modal import ModalMachine
 from .monodromy import Regeneration, Step, Vibration, monodromy, strongest
 from .quick_force_jacobian import LayerSlopes, layer_slopes, quick_slopes
 from .stability import (
-    Motion,
+    ToolMotion,
     check_vibrates,
     deep_rows,
     fastest_mode,
@@ -166,7 +166,7 @@ class StabilityLobes(eqx.Module):
         upright = process.engagement.is_upright
         path = tool_poses(arm, joint_positions, is_upright=upright)
         tips = path.tip[: len(joint_positions)]
-        motion = Motion(motor_positions, joint_positions, tips)
+        motion = ToolMotion(motor_positions, joint_positions, tips)
         layers = layer_slopes(process, path, chosen, _PIECES)
         depth = np.array([_depth(one) for one in layers])
         if not depth.all():

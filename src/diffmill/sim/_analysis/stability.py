@@ -214,7 +214,7 @@ class Stability(eqx.Module):
         # The force has its slopes at every angle that is looked at.
         substeps = engagement.angles // process.cutter.flute_count
         slopes = force_slopes(process, path, chosen, substeps)
-        motion = Motion(motor_positions, joint_positions, path.tip[:step_count])
+        motion = ToolMotion(motor_positions, joint_positions, path.tip[:step_count])
         found = _growth(arm, process, motion, chosen, slopes)
         if is_moving_cut is None:
             is_moving_cut = is_moving(
@@ -407,7 +407,7 @@ def stability_machine(job: Job) -> ElasticArm | ModalMachine:
     return ElasticArm(job.robot, job.T_base_work)
 
 
-def job_motion(job: Job, solution: Solution) -> "Motion":
+def job_motion(job: Job, solution: Solution) -> "ToolMotion":
     """Return the motion of a solution without the vibrations about it.
 
     The map is that of small ones: a tool that chatters already has grown beyond them.
@@ -415,10 +415,10 @@ def job_motion(job: Job, solution: Solution) -> "Motion":
     tips = _mean_about(solution.commanded, solution.actual)
     if job.modes is not None:
         rows = JobKinematics(job).tool_command
-        return Motion(rows(solution.commanded), rows(tips), tips)
+        return ToolMotion(rows(solution.commanded), rows(tips), tips)
     motors, joints = solution.motor_positions, solution.joint_positions
     assert motors is not None and joints is not None
-    return Motion(motors, _mean_about(motors, joints), tips)
+    return ToolMotion(motors, _mean_about(motors, joints), tips)
 
 
 def _mean_about(
@@ -452,7 +452,7 @@ def _padded(rows: Float[Array, "step joint"]) -> Float[Array, "padded joint"]:
 
 
 @dataclasses.dataclass(frozen=True)
-class Motion:
+class ToolMotion:
     """Motors, joints and tips at the tooth instants.
 
     Attributes:
@@ -468,7 +468,7 @@ class Motion:
 
 def linear_machine(
     machine: ElasticArm | ModalMachine,
-    motion: Motion,
+    motion: ToolMotion,
     rows: Int[np.ndarray, " row"],
     T: float,
 ) -> LinearArm:
@@ -489,7 +489,7 @@ def linear_machine(
 def _growth(
     arm: ElasticArm | ModalMachine,
     process: Process,
-    motion: Motion,
+    motion: ToolMotion,
     rows: Int[np.ndarray, " row"],
     slopes: Sequence[Sequence[Regeneration]],
 ) -> Stability:

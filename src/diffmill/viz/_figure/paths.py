@@ -1,6 +1,6 @@
 """Paths of all cases in plan and side view, the deviation magnified."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import equinox as eqx
 import numpy as np
@@ -35,6 +35,18 @@ _FRAME = "#555555"
 # Seen from above.
 _PLANE = np.array([1.0, 1.0, 0.0])
 _SMALLEST = 1e-6  # half side of the smallest zoom [m], for paths without any error
+
+
+class _PathFromAbove(NamedTuple):
+    """Path of a case from above.
+
+    Attributes:
+        actual: The path, its z taken out [m], shape (step, 3).
+        across: Its way from the desired line [m], shape (step, 3).
+    """
+
+    actual: Float[np.ndarray, "step 3"]
+    across: Float[np.ndarray, "step 3"]
 
 
 class Place(eqx.Module):
@@ -158,7 +170,7 @@ def _farthest(
     dataset: "xarray.Dataset",
     name: str,
     case: str,
-    plan: tuple[Float[np.ndarray, "step 3"], Float[np.ndarray, "step 3"]],
+    plan: _PathFromAbove,
     apart: Float[np.ndarray, " 2"] | None,
 ) -> Place:
     """Place where a case is farthest off in `_in_plan`, not near the point `apart`.
@@ -195,13 +207,12 @@ def _points_mm(
     return points * 1e3
 
 
-def _in_plan(
-    dataset: "xarray.Dataset", case: str
-) -> tuple[Float[np.ndarray, "step 3"], Float[np.ndarray, "step 3"]]:
+def _in_plan(dataset: "xarray.Dataset", case: str) -> _PathFromAbove:
     """Path of a case from above, and its way from the desired line [m]."""
     desired = values_of(dataset, "desired", case) * _PLANE
     actual = _plan_path(dataset, case)
-    return actual, np.asarray(contour_vector(actual, desired), np.float64)
+    across = np.asarray(contour_vector(actual, desired), np.float64)
+    return _PathFromAbove(actual, across)
 
 
 def _plan_path(dataset: "xarray.Dataset", case: str) -> Float[np.ndarray, "step 3"]:

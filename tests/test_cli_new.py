@@ -1,0 +1,107 @@
+"""`diffmill new`: a job for a program, what it lacks, and what the user is asked."""
+
+import sys
+
+import pytest
+from slides_job import PROGRAM
+
+import diffmill as dm
+from diffmill.cli import main
+
+ANSWERED = ["--robot", "kuka_kr210_like", "--diameter", "6 mm", "--teeth", "2"]
+ANSWERED += ["--material", "aluminium_7075_t6"]
+LIST = "(T1 D=8. CR=0. - flat end mill)\n(a pocket of diameter 12)\n"
+
+
+@pytest.fixture
+def program(here):
+    (here / "part.ngc").write_text("T1 M6 S9000 M3\n" + PROGRAM)
+    return here / "part.ngc"
+
+
+def test_a_program_and_four_options_make_a_job_without_faults(program, capsys):
+    assert main(["new", "part.ngc", *ANSWERED]) == 0
+    said = capsys.readouterr().out
+    for part in ("wrote part.toml", "without faults", "next: diffmill correct"):
+        assert part in said
+    job = dm.load_job(program.with_suffix(".toml"))
+    assert float(job.spindle_speed) == pytest.approx(9000 * 2 * 3.14159265 / 60)
+    assert float(job.cutter.diameter) == pytest.approx(6e-3)
+    # From x -5.5 to 6 mm and y 1 to 4 mm: along x it begins beside the block.
+    text = program.with_suffix(".toml").read_text()
+    assert 'lower = ["-2 mm", "-2 mm", "-1.8 mm"]' in text
+    assert 'upper = ["2.5 mm", "7 mm", "0 mm"]' in text
+    assert "FILL IN" not in text and text.count("ASSUMED") == 3
+
+
+def test_what_is_missing_is_a_line_to_fill_in(program, capsys):
+    program.write_text(LIST + program.read_text().replace("S9000", ""))
+    assert main(["new", "part.ngc"]) == 0
+    said = capsys.readouterr().out
+    text = program.with_suffix(".toml").read_text()
+    lines = [line for line in text.splitlines() if "FILL IN" in line]
+    keys = [line.split()[1] for line in lines]
+    assert keys == ["diameter", "teeth", "speed", "material", "model", "work_in_base"]
+    assert "comments of the program name 8\n" in text
+    assert said.count("FILL IN") == len(lines)
+    # Each names the line, whose example is of the right kind.
+    for line in lines:
+        number = text.splitlines().index(line) + 1
+        assert f"line {number}: " in said
+    filled = text
+    for line in lines:
+        filled = filled.replace(line, line.removeprefix("# "))
+    program.with_suffix(".toml").write_text(filled)
+    assert main(["check", "part.toml"]) == 0
+
+
+def test_a_file_that_is_there_is_kept(program, capsys):
+    job = program.with_suffix(".toml")
+    job.write_text("precious")
+    assert main(["new", "part.ngc"]) == 2
+    assert "--force replaces it" in capsys.readouterr().err
+    assert job.read_text() == "precious"
+    assert main(["new", "part.ngc", "--force"]) == 0
+    assert "FILL IN" in job.read_text()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--material", "cheese"], "--material: found 'cheese'; allowed: "),
+        (["--robot", "puma"], "--robot: found 'puma'; allowed: "),
+        (["--diameter", "10"], "unit"),
+        (["--tool", "7"], "7"),
+    ],
+)
+def test_a_wrong_option_is_refused(program, capsys, options, message):
+    assert main(["new", "part.ngc", *options]) == 2
+    assert message in capsys.readouterr().err
+    assert not program.with_suffix(".toml").exists()
+
+
+def test_on_a_terminal_what_is_missing_is_asked(program, monkeypatch):
+    asked = []
+    answers = {"robot": "", "diameter": '"6 mm"', "its number": "3", "material": ""}
+
+    def ask(question):
+        asked.append(question)
+        return next(x for key, x in answers.items() if question.startswith(key))
+
+    for stream in (sys.stdin, sys.stdout):
+        monkeypatch.setattr(stream, "isatty", lambda: True)
+    monkeypatch.setattr("builtins.input", ask)
+    assert main(["new", "part.ngc"]) == 0 and len(asked) == 4
+    text = program.with_suffix(".toml").read_text()
+    assert 'diameter = "6 mm"' in text and "\nteeth = 3" in text
+    assert text.count("FILL IN") == 3
+
+
+def test_a_recorded_path_needs_no_acceleration(here, capsys):
+    rows = [f"{0.01 * k},{k - 2},0,{-0.5}" for k in range(12)]
+    (here / "path.csv").write_text(
+        "\n".join(["time [s],x [mm],y [mm],z [mm]", *rows]) + "\n"
+    )
+    assert main(["new", "path.csv"]) == 0
+    text = (here / "path.toml").read_text()
+    assert "acceleration" not in text and 'file = "path.csv"' in text
