@@ -35,7 +35,8 @@ def test_a_program_and_four_options_make_a_job_without_faults(program, capsys):
 
 
 def test_what_is_missing_is_a_line_to_fill_in(program, capsys):
-    program.write_text(LIST + program.read_text().replace("S9000", ""))
+    text = program.read_text().replace("S9000", "").replace("X6", "X30")
+    program.write_text(LIST + text)
     assert main(["new", "part.ngc"]) == 0
     said = capsys.readouterr().out
     text = program.with_suffix(".toml").read_text()
