@@ -342,6 +342,7 @@ class Machine:
         name: Name of its file, for messages.
         faults: What is wrong with the program so far.
         at: The step that comes next.
+        line: The line at work.
         result: Value that the last routine has given back.
     """
 
@@ -356,7 +357,7 @@ class Machine:
         )
         self.at = 0
         self.result: Value = None
-        self._line, self._step_count = 0, 0
+        self.line, self._step_count = 0, 0
         self._calls: list[_Call] = []
 
     @property
@@ -408,13 +409,13 @@ class Machine:
 
     def result_of(self, routine: str, own: dict[Name, Value]) -> Value:
         """Value that a routine gives back, within an expression."""
-        back, line, depth = self.at, self._line, len(self._calls)
+        back, line, depth = self.at, self.line, len(self._calls)
         self.result = None
         self.call(routine, own)
         self._run(depth)
         if len(self._calls) > depth:
             self.refuse(routine, "the program ends inside of an expression.")
-        self.at, self._line = back, line
+        self.at, self.line = back, line
         return self.result
 
     def give_back(self, value: Value = None) -> None:
@@ -456,7 +457,7 @@ class Machine:
         Raises:
             ProgramError: Always.
         """
-        raise ProgramError(self.name, [*self.faults, Fault(self._line, word, message)])
+        raise ProgramError(self.name, [*self.faults, Fault(self.line, word, message)])
 
     def _run(self, depth: int) -> None:
         """Carry steps out until calls are as deep, or the program ends."""
@@ -465,7 +466,7 @@ class Machine:
         # What is carried out once is no repetition.
         most = end + MOST_REPEATED
         while self.at < end and len(self._calls) > depth:
-            self._line, action = steps[self.at]
+            self.line, action = steps[self.at]
             self.at += 1
             self._step_count += 1
             if self._step_count > most:

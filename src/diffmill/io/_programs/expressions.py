@@ -268,9 +268,9 @@ class Parser:
         if value is not None:
             pass
         elif self.kind == "number":
-            value = _constant(number_of(self.advance()))
+            value = constant(number_of(self.advance()))
         elif self.kind == "text":
-            value = _constant(self.advance()[1:-1])
+            value = constant(self.advance()[1:-1])
         elif word := self.take(grammar.unary):
             action, level = grammar.unary[word]
             value = _call(action, [self.expression(level)])
@@ -289,7 +289,7 @@ class Parser:
         """Read a constant, a call or a variable."""
         grammar = self.grammar
         if self.word in grammar.constants:
-            return _constant(grammar.constants[self.advance()])
+            return constant(grammar.constants[self.advance()])
         position = self.at
         name = self.advance()
         if self.kind == "sign" and self.word == grammar.brackets[1][0]:
@@ -343,7 +343,8 @@ def number_of(text: str) -> float | int:
         return float(text)
 
 
-def _constant(value: Value) -> Expression:
+def constant(value: Value) -> Expression:
+    """A value as an expression."""
     return lambda variables: value
 
 

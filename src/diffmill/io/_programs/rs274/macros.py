@@ -17,13 +17,15 @@ from ..expressions import (
     Parser,
     Value,
     Variable,
+    constant,
+    number_of,
 )
 from ..faults import SHOWN_FAULTS, Fault, ProgramError
 from ..limits import LARGEST_NUMBER
 from .blocks import ALLOWED_WORDS
 from .parameters import Parameters, variable_of
 from .state import State
-from .words import Word, compact_line, report_unknown, split_words
+from .words import WORD, Word, compact_line, report_unknown, split_words
 
 # What is no plain block: parameters, brackets, O-words, calls and jumps.
 MACRO = re.compile(r"[#\[]|^[^(;]*O|M\s*0*9\s*[89]|G\s*6\s*[567]|^[^(;]*GOTO", re.I)
@@ -80,6 +82,11 @@ class MacroReader:
         self.parameters = Parameters(dialect, state)
         self.code, self.has_words, self.in_program = Code(), False, False
         self.first = 0
+        self.rows: dict[int, str] = {}
+        # Lines with expressions, as they are read the second time.
+        self.read: dict[str, _Line | None] = {}
+        # One for all lines: a program may have a million.
+        self.run_row = self._run_row
 
     def run(self, rows: dict[int, str], first: int) -> None:
         """Carry out the rows of a program from a line on.
@@ -91,7 +98,7 @@ class MacroReader:
         Raises:
             ProgramError: If a block has no end, or a line cannot be carried out.
         """
-        start, out, self.first = 0, self.state.out, first
+        start, out, self.first, self.rows = 0, self.state.out, first, rows
         for line, row in rows.items():
             start = len(self.code.steps) if line == first else start
             try:
@@ -143,7 +150,8 @@ class MacroReader:
         elif _CALL.search(text):
             self._subprogram(text, line)
         elif match := _RETURN.search(text):
-            self._plain(text[: match.start()], line)
+            if before := text[: match.start()].strip("("):
+                self._plain(before, line)
             if text[match.end() :].startswith(("P", "L")):
                 raise ExpressionError("M99", "M99 goes back without a P here.")
             self.code.give_back(line)
@@ -279,29 +287,34 @@ class MacroReader:
 
     def _plain(self, row: str, line: int) -> None:
         """Append a line of words."""
-        self.has_words |= bool(compact_line(row, line, []).strip("("))
-        out = self.state.out
-        lines: list[_Line] = []
+        if not self.has_words:
+            self.has_words = bool(compact_line(row, line, []).strip("("))
+        is_whole = row is self.rows[line]
+        own = self.run_row if is_whole else functools.partial(self._run_row, row=row)
+        self.code.plain(line, own)
 
-        def go(machine: Machine) -> None:
-            self.parameters.line, faults = line, list[Fault]()
-            if "#" not in row and "[" not in row:
-                words = split_words(row, line, faults)
-            else:
-                try:
-                    lines.extend([] if lines else [self._line(row, line)])
-                except ExpressionError as error:
-                    machine.refuse(error.word, str(error))
-                words = self._words(lines[0], machine)
-            if words and not faults:
-                faults = self.run_block(words, line, self.state)
+    def _run_row(self, machine: Machine, row: str = "") -> None:
+        """Carry out a line of words, or the part of it that is given."""
+        line, out, faults = machine.line, self.state.out, list[Fault]()
+        row, self.parameters.line = row or self.rows[line], line
+        if "#" not in row and "[" not in row:
+            words = split_words(row, line, faults)
+        else:
+            try:
+                read = self.read.get(row) or self._line(row, line)
+            except ExpressionError as error:
+                machine.refuse(error.word, str(error))
+            # Lines of loops are kept as read; all would fill the memory.
+            self.read[row] = read if row in self.read else None
+            words = self._words(read, machine)
+        if words and not faults:
+            faults = self.run_block(words, line, self.state)
+        if faults:
             out.faults += [fault for fault in faults if fault not in out.faults]
             if len(out.faults) > SHOWN_FAULTS:
                 raise ProgramError(out.name, out.faults, ALLOWED_WORDS)
-            if self.state.is_ended:
-                machine.stop()
-
-        self.code.plain(line, go)
+        if self.state.is_ended:
+            machine.stop()
 
     def _words(self, read: _Line, machine: Machine) -> list[Word]:
         """Words of a line, and its assignments; both have the values before it."""
@@ -337,6 +350,10 @@ class MacroReader:
                 parser.expect("=")
                 read.assignments.append(_Assignment(variable, parser.expression()))
                 at = parser.at
+            elif match := WORD.match(text, at):
+                number = constant(number_of(match[2]))
+                read.words.append(_Written(match[1], number, match[0]))
+                at = match.end()
             elif text[at] in "@^" or (text[at].isalpha() and text[at] != "O"):
                 parser = Parser(text, self.parameters.grammar, at + 1)
                 number = parser.operand()

@@ -10,7 +10,7 @@ from ..limits import LARGEST_NUMBER
 
 # No text is a number in two ways, so that a long line of words is read once.
 _NUMBER = r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)"
-_WORD = re.compile(rf"([A-Z@^])({_NUMBER})")
+WORD = re.compile(rf"([A-Z@^])({_NUMBER})")
 # A line of words and nothing else, O aside, is split at once.
 _PLAIN = re.compile(rf"(?:[A-NP-Z@^]{_NUMBER})*")
 _MARK = re.compile(r"[();]")
@@ -41,7 +41,7 @@ def split_words(text: str, line: int, faults: list[Fault]) -> list[Word]:
     upper = compact.translate(_UPPER)
     words: list[Word] = []
     if _PLAIN.fullmatch(upper):
-        for match in _WORD.finditer(upper):
+        for match in WORD.finditer(upper):
             _take(match, compact, line, words, faults)
         return words
     position = 0
@@ -49,7 +49,7 @@ def split_words(text: str, line: int, faults: list[Fault]) -> list[Word]:
         if upper[position] == "(":
             position += 1
             continue
-        match = _WORD.match(upper, position)
+        match = WORD.match(upper, position)
         if match and upper[position] != "O":
             position = match.end()
             _take(match, compact, line, words, faults)
