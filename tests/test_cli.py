@@ -315,6 +315,31 @@ def test_convert_there_and_back(folder, capsys):
     assert not list(folder.glob(".two*"))
 
 
+RETRACT = (
+    "G21 G90 F60\nG0 X0 Y0 Z5\nG43 H1 Z5\nG1 Z-1\nG53 G0 Z0\nG41 D2 G1 X9 Z5\nM2\n"
+)
+
+
+def test_check_and_convert_take_what_a_program_leaves_to_the_control(folder, capsys):
+    (folder / "retract.ngc").write_text(RETRACT)
+    keys = ['tool_radii = { 2 = "3 mm" }', 'machine_zero = ["0 mm", "0 mm", "300 mm"]']
+    keys.append('tool_lengths = { 1 = "80 mm" }')
+    assert main(["check", "retract.ngc", "--program", *keys]) == 0
+    # 300 mm for the zero, 80 mm for the tool.
+    assert "z: -1.000 to 220.000 mm" in capsys.readouterr().out
+    assert main(["convert", "retract.ngc", "out.apt", "--program", *keys]) == 0
+    assert "GOTO/" in (folder / "out.apt").read_text()
+    for key, part in (
+        ('tool_radii = { 2 = "3" }', "without a unit"),
+        ('corner_tolerance = "1 mm"', "found 'corner_tolerance'; allowed: feed"),
+        ("tool_radii", "needed are keys as in a job"),
+    ):
+        assert main(["check", "retract.ngc", "--program", key]) == 2
+        assert part in capsys.readouterr().err
+    assert main(["check", "job.toml", "--program", "feed = '1 mm/s'"]) == 2
+    assert "--program are for programs" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("target", "words"),
     [
@@ -368,7 +393,7 @@ def test_check_program(folder, capsys):
     assert main(["check", "bad.ngc"]) == 2
     error = capsys.readouterr().err
     assert "line 3" in error
-    assert "M98" in error
+    assert "is not in the program's file" in error
 
 
 def test_check_other_files(folder, capsys):

@@ -91,7 +91,7 @@ def test_expression_has_its_value_in_either_dialect(expression, linuxcnc, fanuc)
 )
 def test_macros_of_fanuc(text, points):
     if points is None:
-        with pytest.raises(ProgramError, match="no routine of this name"):
+        with pytest.raises(ProgramError, match="is not in the program's file"):
             ends(text)
         return
     assert ends(text) == points

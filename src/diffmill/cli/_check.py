@@ -29,6 +29,7 @@ def describe_file(
     *,
     allow_outside: bool,
     tool_axis: Literal["x", "y", "z", "-x", "-y", "-z"] | None = None,
+    keys: Sequence[str] = (),
 ) -> list[str]:
     """Lines that describe a file.
 
@@ -38,13 +39,15 @@ def describe_file(
         allow_outside: True if a job may name files outside its folder.
         tool_axis: Axis of the tool of a program that points from the shank to the tip,
             as `[program] tool_axis` of a job.
+        keys: Lines of `[program]`, for what a program leaves to the control.
 
     Raises:
         ValueError: If the file is faulty, or its suffix is not known.
     """
     suffix = file.suffix.lower()
-    if suffix == ".toml" and tool_axis is not None:
-        raise ValueError(f"{file}: --tool-axis is for programs; a job has a key for it")
+    if suffix == ".toml" and (tool_axis is not None or keys):
+        message = "--tool-axis and --program are for programs; a job has keys for it"
+        raise ValueError(f"{file}: {message}")
     if suffix == ".toml":
         tables = tables_of(file)
         if "kind" in tables:
@@ -60,7 +63,8 @@ def describe_file(
         if isinstance(tables.get("job"), str):
             return _describe_campaign(file, allow_outside=allow_outside)
         return _describe_job(file, allow_outside=allow_outside)
-    from ..io import PROGRAM_FORMATS, ProgramError, ProgramSetup, read_program
+    from ..config import program_setup
+    from ..io import PROGRAM_FORMATS, ProgramError, read_program
     from ..toolpath import Path
 
     if suffix not in PROGRAM_FORMATS:
@@ -80,7 +84,7 @@ def describe_file(
                 f"{file}: found a result, in netCDF; needed is a job, a program or a "
                 "path (xarray opens results)"
             )
-    program = read_program(file, setup=ProgramSetup(tool_axis=tool_axis))
+    program = read_program(file, setup=program_setup(keys, tool_axis=tool_axis))
     if not isinstance(program, Path):
         return _describe_program(file, program)
     time = np.asarray(program.time)

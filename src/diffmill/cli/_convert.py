@@ -3,6 +3,7 @@
 import dataclasses
 import math
 import pathlib
+from collections.abc import Sequence
 from typing import Literal
 
 from .._results_folder import ResultsFolder, write_whole
@@ -20,6 +21,7 @@ def convert_file(
     force: bool,
     is_spline: bool = False,
     tool_axis: Literal["x", "y", "z", "-x", "-y", "-z"] | None = None,
+    keys: Sequence[str] = (),
 ) -> list[str]:
     """Write a program in the format of another suffix; return lines about it.
 
@@ -31,12 +33,14 @@ def convert_file(
         is_spline: True to write a path as a spline.
         tool_axis: Axis of the robot's tool that points from the shank to the tip, in a
             program of KRL or RAPID that is read or written; "z" if None.
+        keys: Lines of `[program]`, for what a program leaves to the control.
 
     Raises:
         BadInput: If a file is there already, or none can be.
         ValueError: If the program cannot be read, or the format cannot say it.
     """
-    from ..io import PROGRAM_FORMATS, ProgramSetup, read_program, write_program
+    from ..config import program_setup
+    from ..io import PROGRAM_FORMATS, read_program, write_program
     from ..toolpath import Path, Program, reduce_path
 
     if is_spline and target.suffix.lower() != ".src":
@@ -53,7 +57,7 @@ def convert_file(
     ]
     if tool_axis is not None and not any(is_of_robot):
         raise BadInput(f"--tool-axis: neither {source} nor {target} is KRL or RAPID")
-    setup = ProgramSetup(tool_axis=tool_axis if is_of_robot[0] else None)
+    setup = program_setup(keys, tool_axis=tool_axis if is_of_robot[0] else None)
     program = read_program(source, setup=setup)
     lines = []
     if isinstance(program, Path):

@@ -85,6 +85,15 @@ _ToolAxis = Annotated[
         "RAPID); z if not given."
     ),
 ]
+_Program = Annotated[
+    tuple[str, ...],
+    tyro.conf.arg(
+        metavar="KEY=VALUE",
+        help='Keys of [program] as in a job, such as \'machine_zero = ["0 mm", "0 mm", '
+        '"300 mm"]\' or \'tool_lengths = { 1 = "80 mm" }\', for what a program leaves '
+        "to the control.",
+    ),
+]
 _Outside = Annotated[
     bool, tyro.conf.arg(help="Let the job name files outside its own folder.")
 ]
@@ -489,6 +498,7 @@ def check(
     ],
     *,
     tool_axis: _ToolAxis = None,
+    program: _Program = (),
     allow_outside: _Outside = False,
 ) -> int:
     """Say what a file contains and what of it is not supported."""
@@ -497,7 +507,9 @@ def check(
     from ._check import describe_file
 
     with bad_input():
-        lines = describe_file(file, allow_outside=allow_outside, tool_axis=tool_axis)
+        lines = describe_file(
+            file, allow_outside=allow_outside, tool_axis=tool_axis, keys=program
+        )
     print(printable("\n".join(lines)), flush=True)
     return 0
 
@@ -520,6 +532,7 @@ def convert(
         bool, tyro.conf.arg(help="Whether a path becomes a spline (KRL).")
     ] = False,
     tool_axis: _ToolAxis = None,
+    program: _Program = (),
     force: _Force = False,
     quiet: _Quiet = False,
 ) -> int:
@@ -538,6 +551,7 @@ def convert(
             force=force,
             is_spline=spline,
             tool_axis=tool_axis,
+            keys=program,
         )
     if not quiet:
         print(printable("\n".join(lines)))

@@ -8,6 +8,7 @@ import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from ._build.program import program_setup as program_setup
     from ._check.rapids import tool_notes as tool_notes
     from ._check.tables import check_tables as check_tables
     from ._job_program import JobProgram as JobProgram
@@ -30,6 +31,7 @@ _NAMES = {
     "load_identification": "._load_identification",
     "load_job": "._load_job",
     "load_learning": "._load_learning",
+    "program_setup": "._build.program",
     "tool_notes": "._check.rapids",
 }
 

@@ -98,7 +98,7 @@ def _check_values(where: str, kind: Any, tokens: list[str]) -> None:
     while tokens and not _is_option(tokens[0]) and (is_many or not count):
         value = tokens.pop(0)
         count += 1
-        if is_many and not _is_number(value):
+        if is_many and get_args(kind)[0] is float and not _is_number(value):
             _refuse(f"{where}: found {value!r}", [], "numbers are required")
     if not count and not is_many:
         _refuse(f"{where}: found no value", [], "one is required")

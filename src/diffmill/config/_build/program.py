@@ -3,16 +3,18 @@
 import math
 import pathlib
 from collections.abc import Sequence
-from typing import Literal
+from typing import Literal, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
 
 from ... import io
+from ..._toml import parse_toml
 from ..._types import FloatRows3
 from ...io import PROGRAM_FORMATS, ProgramError, ProgramSetup
 from ...robot import Robot
 from ...settings.correction import LineWeight
+from ...settings.tables import validated
 from ...toolpath import (
     Path,
     Point,
@@ -24,6 +26,7 @@ from .._schema.cutter import CutterTable
 from .._schema.job import ProgramTable
 from .context import FileContext
 
+ToolAxis: TypeAlias = Literal["x", "y", "z", "-x", "-y", "-z"]
 # The program and the job state the same speed in different units.
 _SAME_SPEED = 1e-6
 # Instants of a written path are rounded [s].
@@ -46,6 +49,19 @@ _WITHOUT_EFFECT = (
     "smoothing",
     "jerk",
     "joint_ramp",
+)
+# What a program does not say itself.
+_OF_SETUP = (
+    "feed",
+    "tool_axis",
+    "block_delete",
+    "offsets",
+    "tool_lengths",
+    "tool_radii",
+    "dialect",
+    "machine_zero",
+    "reference_point",
+    "second_reference_point",
 )
 # As much as the readers of programs and paths take [byte].
 _LARGEST_FILE = 250_000_000
@@ -72,7 +88,7 @@ def read_program(
     if path is None:
         return None
     try:
-        program = io.read_program(path, setup=program_setup(table, cutter))
+        program = io.read_program(path, setup=_setup(table, cutter))
         if isinstance(program, Path):
             _check_recorded(table, context)
             context.notes.extend(f"[program] {note}" for note in program.notes)
@@ -258,8 +274,37 @@ def _tool_note(program: Program, chosen: Program) -> str:
 
 
 def program_setup(
-    table: ProgramTable, cutter: CutterTable | None = None
+    lines: Sequence[str], *, tool_axis: ToolAxis | None = None
 ) -> ProgramSetup:
+    """Settings of the control that lines of `[program]` state.
+
+    Args:
+        lines: Such as 'tool_lengths = { 1 = "80 mm" }'.
+        tool_axis: As the key of this name, where no line has it.
+
+    Raises:
+        ValueError: If a line is no key of the settings, or its value is faulty.
+    """
+    try:
+        raw = parse_toml("\n".join(lines).encode())
+    except ValueError as error:
+        message = "--program: needed are keys as in a job, such as "
+        raise ValueError(f"{message}machine_zero = [...]; {error}") from error
+    problems = [
+        f"--program: found {key!r}; allowed: {', '.join(_OF_SETUP)}"
+        for key in raw
+        if key not in _OF_SETUP
+    ]
+    raw = {"tool_axis": tool_axis, **raw, "file": "program"}
+    table = None
+    if not problems:
+        table = validated(ProgramTable, raw, "--program", problems)
+    if table is None:
+        raise ValueError("\n".join(problems))
+    return _setup(table)
+
+
+def _setup(table: ProgramTable, cutter: CutterTable | None = None) -> ProgramSetup:
     """Settings of the control that a program does not state."""
     zero = table.machine_zero
     return ProgramSetup(

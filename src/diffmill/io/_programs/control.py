@@ -396,7 +396,7 @@ class Machine:
             done: Takes its own values after its return, for those that go back.
         """
         if routine not in self.code.routines:
-            self.refuse(routine, "there is no routine of this name in the program.")
+            self.refuse(routine, "it is called, and is not in the program's file.")
         if len(self._calls) >= DEEPEST_CALLS:
             self.refuse("", f"calls are in each other more than {DEEPEST_CALLS} deep.")
         self._calls.append(_Call(self.at, own is not None, done))
