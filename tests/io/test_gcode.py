@@ -253,7 +253,7 @@ def test_any_arc_is_recovered(radius, start, sweep, turn, use_radius):
         ("G0 X1 Z1\nG91 G81 ^9 R1 Z-2 L3 F9", 2, "L3", "several holes"),
         ("G0 X1 Y1\n@5 X3", 2, "@5", "has no X or Y"),
         ("G0 X1\nG68 X0 Y0 R9\nG92 X0", 3, "G92", "does not go with"),
-        ("G0 X1\nG10 L1 P1 Z2", 2, "G10", "L2 or L20"),
+        ("G0 X1\nG10 L1 P1 X2", 2, "G10", "L2 or L20"),
         ("G0 X1\nG81 X2 Z-1 F9", 2, "G81", "needs its retract plane"),
         ("G0 X1 Z5\nG81 X2 Z3 R1 F9", 2, "G81", "below the bottom"),
         ("G0 X1 Q5", 1, "Q5", "Q belongs to no code"),

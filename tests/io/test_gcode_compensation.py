@@ -50,6 +50,10 @@ def test_outside_corner_is_rounded_about_the_corner():
         ("G41 D2 G1 X10\nX20", [(10, -2, 0), (20, -2, 0)]),
         ("G41 D3 G1 X10\nY20", [(10, 0, 0), (10, 20, 0)]),
         ("G41.1 D4 G1 X10\nX20", [(10, 2, 0), (20, 2, 0)]),
+        # A program may state the data of its tools.
+        ("G10 L1 P9 R3 Z80\nG41 D9 G1 X10\nX20", [(10, 3, 0), (20, 3, 0)]),
+        ("G10 L12 P9 R3.\nG41 D9 G1 X10\nX20", [(10, 3, 0), (20, 3, 0)]),
+        ("D1\nG41 G1 X10\nX20", [(10, 2, 0), (20, 2, 0)]),
         # The number of the tool is that of its radius, where D is not said.
         ("T1 M6\nG41 G1 X10\nX20", [(10, 2, 0), (20, 2, 0)]),
         # From the programmed place an incremental move counts.

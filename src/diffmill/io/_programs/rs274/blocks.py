@@ -74,7 +74,7 @@ _OWN_WORDS = {
     "smoothing": "PE",
 }
 ALLOWED_WORDS = (
-    "N, G0 to G4, G5.1 Q0, G8, G10 L2 and L20, G13.1, G15 to G21, G28, G28.1, G30, "
+    "N, G0 to G4, G5.1 Q0, G8, G10, G13.1, G15 to G21, G28, G28.1, G30, "
     "G30.1, G40 to G42.1, G43 to G43.2, G49, G50 to G59.3, G61, G61.1,"
     " G64, G67 to G69, G73, G80 to G83, G85, G86, G89, G90, G90.1, G91, G91.1, G92 to "
     "G92.3, G93 to G99, G187, X, Y, Z, I, J, K, R, P, Q, L, F, S, T, H, D, E, M0 to "

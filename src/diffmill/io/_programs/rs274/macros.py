@@ -275,10 +275,11 @@ class MacroReader:
             return str(value % 10_000), value // 10_000
 
         def call(machine: Machine) -> None:
-            self.parameters.line, own = line, None
-            if is_macro:
-                own = {_ARGUMENTS[a]: machine.value(w.number) for a, w in words.items()}
-            machine.call(label(machine.value(routine.number))[0], own)
+            self.parameters.line, own = line, dict[Name, Value]()
+            for letter, word in words.items():
+                own[_ARGUMENTS[letter]] = machine.value(word.number)
+            name = label(machine.value(routine.number))[0]
+            machine.call(name, own if is_macro else None)
 
         turns = count.number if count else lambda v: label(routine.number(v))[1]
         self.code.begin_repeat(line, turns)

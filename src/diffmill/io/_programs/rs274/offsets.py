@@ -1,6 +1,7 @@
 """Words that move, turn or scale the places of a program, and the radius of a tool."""
 
 import cmath
+import dataclasses
 import math
 
 from ....toolpath import Point
@@ -83,8 +84,13 @@ def set_data(block: Block, state: State, faults: list[Fault]) -> None:
     """Apply G10 L2 and L20: the zero of a system."""
     kind, number = block.number("L"), block.number("P")
     text = block.texts["once"]
+    if number is not None and _set_tool_data(kind, round(number), block, state):
+        return
     if kind not in (2, 20) or block.number("R") not in (None, 0):
-        message = "G10 is supported as L2 or L20 without a rotation R."
+        message = (
+            "G10 is supported as L2 or L20 without a rotation R, as L1 with Z and R, "
+        )
+        message += "and as L10 and L12 of Fanuc with R."
         faults.append(Fault(block.line, text, message, True))
         return
     if number is None or number not in range(len(_SYSTEMS) + 1):
@@ -96,6 +102,23 @@ def set_data(block: Block, state: State, faults: list[Fault]) -> None:
     if zero is not None:
         state.zeros[name] = zero
         state.shift = None
+
+
+def _set_tool_data(kind: float | None, number: int, block: Block, state: State) -> bool:
+    """Apply G10 L1, of Fanuc L10 and L12: length and radius of a tool, if it is one."""
+    setup, scale = state.setup, 1e-3 * state.scale
+    lengths, radii = dict(setup.tool_lengths), dict(setup.tool_radii)
+    z, radius = block.number("Z"), block.number("R")
+    if kind == 1 and block.axes() in ([], ["Z"]):
+        length = z
+    elif kind in (10, 12) and not block.axes() and radius is not None:
+        length, radius = (radius, None) if kind == 10 else (None, radius)
+    else:
+        return False
+    lengths |= {} if length is None else {number: length * scale}
+    radii |= {} if radius is None else {number: radius * scale}
+    state.setup = dataclasses.replace(setup, tool_lengths=lengths, tool_radii=radii)
+    return True
 
 
 def _stated_zero(
@@ -226,7 +249,7 @@ def end_compensation(state: State) -> None:
 def _radius_of(tool: int | None, text: str, block: Block, state: State) -> float | None:
     """Radius of a tool [m]; None if nothing tells it."""
     setup = state.setup
-    if tool in setup.tool_radii:
+    if tool is not None and tool in setup.tool_radii:
         return setup.tool_radii[tool]
     if tool == 0:
         return 0.0
