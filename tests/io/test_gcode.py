@@ -90,7 +90,9 @@ def test_end_of_program_and_percent():
     assert len(parse_gcode("G0 X1 M2\nG77 nonsense").moves) == 1
     assert len(parse_gcode("G0 X1 M30\n%").moves) == 1
     assert "closing" in faults("%\nG0 X1")[0].message
-    assert (faults("G0 X1\n%")[0].line, faults("G0 X1\n%")[0].word) == (2, "%")
+    assert len(parse_gcode("G0 X1\n%\n").moves) == 1
+    found = faults("G0 X1\n%\nG0 X2")[0]
+    assert (found.line, found.word) == (2, "%")
 
 
 def test_line_endings_are_counted_alike():

@@ -163,6 +163,12 @@ def test_program_without_an_end_is_ended_by_a_bound(text, part):
 def test_lines_behind_the_end_are_not_carried_out():
     text = "%\n#1=2\nG0 X#1\nM2\nG0 X#77 A5\n%"
     assert ends(text) == [(2, 0, 0)]
+    # Comments may stand before a tape, and what ends it need not have begun it.
+    assert ends("(made)\n\n%\n#1=2\nG0 X#1\n%\nG0 X3") == [(2, 0, 0)]
+    for text in ("#1=2\nG0 X#1\n%\n\n", "G0 X2\n%\n"):
+        assert ends(text) == [(2, 0, 0)]
+    with pytest.raises(ProgramError, match="a % stands alone"):
+        ends("G0 X2\n%\nG0 X3")
     # A line that is never reached may have what is not known.
     assert ends("G0 X1\no1 if [0]\nG0 X#<no>\no1 endif") == [(1, 0, 0)]
     with pytest.raises(ProgramError, match="cut off"):

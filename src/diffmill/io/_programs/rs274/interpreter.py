@@ -104,15 +104,15 @@ def parse_gcode(
     rows = split_lines(text, name)
     for number, row in enumerate(rows, 1):
         bare = row.strip(" \t\r")
-        if bare == "%" and not (is_first or is_wrapped):
-            is_closed = not any(map(str.strip, rows[number:]))
-        if bare == "%" and (is_first or is_wrapped):
-            is_closed = is_wrapped
+        is_last = bare == "%" and not any(map(str.strip, rows[number:]))
+        if bare == "%" and (is_first or is_wrapped or is_last):
+            is_closed = is_wrapped or not is_first
             is_wrapped = True
         elif bare and not _run_line(bare, number, state):
             is_closed = _run_macros(rows, number, state, is_wrapped=is_wrapped)
             break
-        is_first = is_first and not bare
+        # Comments may stand before the tape begins.
+        is_first = is_first and (not bare or bare[0] in "(;")
         if is_closed or state.is_ended:
             break
         if len(faults) > SHOWN_FAULTS:
