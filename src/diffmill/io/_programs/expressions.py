@@ -4,6 +4,7 @@ A language has a `Grammar`; `Parser` makes an `Expression` of its text, a functi
 `Variables`. What is parsed once may be evaluated often.
 """
 
+import functools
 import re
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
@@ -201,6 +202,11 @@ class Grammar:
     operand: "Callable[[Parser], Expression | None]" = _no_operand
     call: Callable[[str, list[Expression]], Expression] | None = None
 
+    @functools.cached_property
+    def levels(self) -> dict[str, int]:
+        """Index of the precedence of every operator between operands."""
+        return {word: at for at, level in enumerate(self.binary) for word in level}
+
 
 class Parser:
     """Reader of the tokens of a text from a position on.
@@ -249,13 +255,19 @@ class Parser:
 
     def expression(self, level: int = 0) -> Expression:
         """Read an expression of the operators from a level of precedence on."""
-        if level == len(self.grammar.binary):
-            return self.operand()
-        operators, first = self.grammar.binary[level], self.expression(level + 1)
-        operands: list[_Operand] = []
-        while word := self.take(operators):
-            operands.append(_Operand(operators[word], self.expression(level + 1)))
-        return _chain(first, operands) if operands else first
+        levels, value = self.grammar.levels, self.operand()
+        chain, before = list[_Operand](), -1
+        while self.kind in ("name", "sign"):
+            at = levels.get(self.word, -1)
+            if at < level:
+                break
+            action = self.grammar.binary[at][self.advance()]
+            if at != before:
+                # What is there is the first operand of the weaker operators behind it.
+                chain, before = [], at
+                value = _chain(value, chain)
+            chain.append(_Operand(action, self.expression(at + 1)))
+        return value
 
     def operand(self) -> Expression:
         """Read a number, a variable, a call, or an expression in brackets."""
@@ -264,11 +276,10 @@ class Parser:
             message = f"brackets and signs are nested deeper than {_DEEPEST_OPERAND}."
             raise ExpressionError(self.text[self.at :], message)
         grammar, (opening, closing) = self.grammar, self.grammar.brackets[0]
-        value = grammar.operand(self)
-        if value is not None:
-            pass
-        elif self.kind == "number":
+        if self.kind == "number":
             value = constant(number_of(self.advance()))
+        elif (value := grammar.operand(self)) is not None:
+            pass
         elif self.kind == "text":
             value = constant(self.advance()[1:-1])
         elif word := self.take(grammar.unary):
