@@ -127,6 +127,7 @@ def test_modules_beside_it_are_used(tmp_path):
         ("VAR robtarget much{200000};", "more than 2000000 values"),
         (to("q2"), "does not state its value"),
         (f"q:={TARGET.format(1, 2, '3,4')};", "3 components, not 4"),
+        (AT + "ENDPROC\nENDMODULE\nMODULE b\nCONST num w:=v;\nPROC b()", "its value"),
         ("cut_it 5;", 'pass_over = \\["cut_it"\\]'),
     ],
 )

@@ -301,7 +301,7 @@ def test_return_ends_a_program_of_rapid(read):
     moves = ("v50",), ("v50",), "return"
     program = read(rapid_module(*moves), ".mod")
     assert read(rapid_module(*moves, ("v50",)), ".mod").moves == program.moves
-    with pytest.raises(ProgramError, match="which of several PROCs"):
+    with pytest.raises(ProgramError, match="which of several routines"):
         read(rapid_module(*moves).replace("main", "a") + "PROC b()\nENDPROC\n", ".mod")
 
 

@@ -17,17 +17,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from ....toolpath import Point, Program
-from ..control import Code, Machine
 from ..expressions import (
     NUMBER,
-    Expression,
     ExpressionError,
     Name,
     Value,
-    Variables,
     split_arguments,
 )
-from ..faults import SHOWN_FAULTS, ProgramError
+from ..faults import ProgramError
 from ..geometry import (
     ToolAxis,
     ToolPlace,
@@ -40,7 +37,8 @@ from ..limits import LARGEST_NUMBER, bounded_number, fault_of_statement
 from ..text import split_lines
 from .krl_frames import KrlFrames, is_known, numbered_base
 from .krl_values import KrlValues
-from .reader import Branch, ExternalAxes, Reader
+from .language import Language
+from .reader import ExternalAxes, Reader
 
 _COMPONENT = re.compile(rf"\s*([A-Z]\d?)\s+({NUMBER})\s*", re.IGNORECASE)
 # Speed of the tip, alone or with the speeds at which the tool turns.
@@ -124,25 +122,15 @@ _MOST_PIECES = 64
 _SPLINE_TOLERANCE = 0.1e-6
 
 
-class _Krl(Reader):
+class _Krl(Language):
     """State of the reader of KRL."""
 
     def __init__(
         self, name: str, tool_axis: ToolAxis, pass_over: Sequence[str]
     ) -> None:
-        super().__init__(tool_axis=tool_axis)
-        self.out.name = name
-        self.pass_over = frozenset(one.upper() for one in pass_over)
-        self.known = KrlValues(self._missing, self._result)
-        self.code = Code()
-        self.machine = Machine(self.code, self.known.variables, name, self.faults)
-        # Of the SWITCH blocks that are open: what each compares, and its cases.
-        self.switches: list[list[str]] = []
-        self.labels: dict[str, int] = {}
-        self.is_running = False
-        self.routine = ""
-        # Names of the parameters of each routine that go back to its call.
-        self.returned: dict[str, tuple[str, ...]] = {}
+        super().__init__(name, tool_axis, pass_over)
+        self.known = KrlValues(self._missing, self.result_of)
+        self.use(self.known.texts, lambda row, line: _statement(row, line, self))
         # An upright tool, until the program states an orientation.
         upright = controller_matrix(self.axis, None, tool_axis)
         self.upright = dict(zip("ABC", abc_of_rotation(upright), strict=True))
@@ -172,27 +160,6 @@ class _Krl(Reader):
         if frame is not None and is_known(frame):
             return dict(frame)
         raise ExpressionError(str(name), "the program does not state its value.")
-
-    def _result(self, name: str, arguments: list[Expression]) -> Expression:
-        """Value that a function gives back."""
-
-        def value(variables: Variables) -> Value:
-            routine = self.code.routines.get(name)
-            if routine is None:
-                raise ExpressionError(name, "the program has no such function.")
-            values = [argument(variables) for argument in arguments]
-            own: dict[Name, Value] = dict(zip(routine.parameters, values, strict=False))
-            return self.machine.result_of(name, own)
-
-        return value
-
-    def number(self, text: str) -> float:
-        """Value of a number or of an expression; NaN if it has none, or too large."""
-        try:
-            value = float(text)
-        except ValueError:
-            return self.known.texts.number(text)
-        return value if abs(value) <= LARGEST_NUMBER else math.nan
 
 
 class _Knot:
@@ -237,15 +204,7 @@ def parse_krl(
     for number, row in enumerate(rows, 1):
         if bare := _bare(row):
             _compile(bare, number, reader)
-    code = reader.code
-    if reader.routine:
-        code.end_routine(len(rows))
-    if not code.faults:
-        code.finish()
-    reader.faults.extend(code.faults)
-    if not reader.faults:
-        reader.is_running = True
-        reader.machine.run(next(iter(code.routines), None))
+    reader.run(len(rows), None)
     frames = reader.base_and_tool
     reader.note_upright_axis()
     program = reader.out.finish(text)
@@ -270,7 +229,7 @@ def _compile(row: str, line: int, reader: _Krl) -> None:
     code, known = reader.code, reader.known
     if _MOTION.match(row):
         reader.let_matter()
-        code.plain(line, lambda machine: _carry_out(row, line, reader))
+        reader.add(line, row)
         return
     word = re.split(r"[\s(]", row, maxsplit=1)[0].upper()
     match = _CONDITION.fullmatch(row)
@@ -292,9 +251,7 @@ def _compile(row: str, line: int, reader: _Krl) -> None:
         reader.let_matter()
         code.give_back(line, value)
     elif match and word in ("IF", "WHILE") and value is not None:
-        reader.branches.append(Branch(line))
-        value = reader.condition(value)
-        (code.begin_if if word == "IF" else code.begin_loop)(line, value)
+        reader.begin_branch(line, value, is_loop=word == "WHILE")
     elif loop := _FOR.fullmatch(row):
         try:
             counter = known.texts.place(loop[1])
@@ -320,46 +277,21 @@ def _compile(row: str, line: int, reader: _Krl) -> None:
         reader.let_matter()
         code.leave(line)
     elif match and word == "SWITCH":
-        reader.switches.append([match[2]])
-    elif word in ("DEFAULT", "CASE") and reader.switches:
-        _compile_case(match[2] if match else "", line, reader)
-    elif word == "ENDSWITCH" and reader.switches:
-        if len(reader.switches.pop()) > 1:
-            code.end(line, ("if",))
+        reader.choices.append([match[2]])
+    elif word in ("DEFAULT", "CASE") and reader.choices:
+        reader.add_case(match[2] if match else "", line, "==")
+    elif word == "ENDSWITCH" and reader.choices:
+        reader.end_choice(line)
     elif match and word == "GOTO":
         reader.let_matter()
-        number = reader.labels.setdefault(match[2].upper(), len(reader.labels))
+        number = reader.label(match[2])
         code.jump(line, lambda variables: number)
     elif label := _LABEL.fullmatch(row):
-        code.label(reader.labels.setdefault(label[1].upper(), len(reader.labels)))
+        code.label(reader.label(label[1]))
     else:
         if not (_QUIET.fullmatch(row) or word in ("WAIT", *reader.pass_over)):
             reader.let_matter()
-        code.plain(line, lambda machine: _carry_out(row, line, reader))
-
-
-def _compile_case(values: str, line: int, reader: _Krl) -> None:
-    """Append a case of a SWITCH, or its DEFAULT."""
-    switch = reader.switches[-1]
-    tests = [f"(({switch[0]}) == ({one}))" for one in split_arguments(values) if one]
-    condition = reader.known.texts.expression(" OR ".join(tests) or "TRUE")
-    if len(switch) == 1:
-        reader.code.begin_if(line, condition)
-    else:
-        reader.code.otherwise(line, condition)
-    switch.append(values)
-
-
-def _carry_out(row: str, line: int, reader: _Krl) -> None:
-    """Carry out a line; one that comes again has told its faults."""
-    count = len(reader.faults)
-    _statement(row, line, reader)
-    if len(reader.faults) == count:
-        return
-    if reader.faults[count] in reader.faults[:count]:
-        del reader.faults[count:]
-    if len(reader.faults) > SHOWN_FAULTS:
-        reader.machine.stop()
+        reader.add(line, row)
 
 
 def _keep_data(row: str, line: int, reader: _Krl) -> bool:
@@ -448,7 +380,7 @@ def _statement(row: str, line: int, reader: _Krl) -> None:
     elif match := _TIME.fullmatch(row):
         _time_block(match, line, reader)
     elif match := _WAIT.fullmatch(row):
-        _rest(match[1], row, line, reader)
+        reader.rest(match[1], row, line)
     elif _keep_data(row, line, reader) or _assign(row, line, reader):
         pass
     elif word == "HALT":
@@ -457,12 +389,8 @@ def _statement(row: str, line: int, reader: _Krl) -> None:
         if not word.startswith(("&", "DEF", "END", "EXT", "INI", "DECL")):
             reader.out.note(re.split(r"[\s=(\[]", row)[0], "changes no path", line)
     elif not ((match := _CALL.fullmatch(row)) and _call(match, line, reader)):
-        message = "is no plain motion and is not supported"
-        if match is not None:
-            name = match[1].upper()
-            message += f'; [program] pass_over = ["{name}"] leaves it out if it moves '
-            message += "neither arm nor work"
-        reader.refuse(line, row, f"{message}.")
+        name = None if match is None else match[1].upper()
+        reader.refuse_statement(row, line, name)
 
 
 def _call(match: re.Match[str], line: int, reader: _Krl) -> bool:
@@ -470,10 +398,7 @@ def _call(match: re.Match[str], line: int, reader: _Krl) -> bool:
     name, machine = match[1].upper(), reader.machine
     routine = reader.code.routines.get(name)
     if routine is None:
-        if name in reader.pass_over:
-            sentence = "is passed over, as [program] pass_over says"
-            reader.out.note(name, sentence, line)
-        return name in reader.pass_over
+        return reader.passes(name, line)
     texts = [one for one in split_arguments(match[2] or "")]
     own: dict[Name, Value] = dict.fromkeys(routine.parameters)
     back: dict[str, str] = {}
@@ -496,15 +421,6 @@ def _call(match: re.Match[str], line: int, reader: _Krl) -> bool:
 
     machine.call(name, own, done)
     return True
-
-
-def _rest(value: str, row: str, line: int, reader: _Krl) -> None:
-    """Carry out WAIT SEC."""
-    duration = reader.number(value)
-    if math.isnan(duration) and not re.fullmatch(NUMBER, value):
-        reader.refuse(line, row, "needed is a number of seconds.")
-        return
-    reader.out.dwell(float(value) if math.isnan(duration) else duration, line, row)
 
 
 def _set_speed(value: str, row: str, line: int, reader: _Krl) -> None:

@@ -17,10 +17,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ....toolpath import Point, Program
-from ..control import Code, Machine
 from ..expressions import (
-    NUMBER,
-    Expression,
     ExpressionError,
     Name,
     Value,
@@ -28,7 +25,6 @@ from ..expressions import (
     Variables,
     split_arguments,
 )
-from ..faults import SHOWN_FAULTS, Fault
 from ..geometry import (
     ToolAxis,
     ToolPlace,
@@ -38,8 +34,9 @@ from ..geometry import (
     tool_place,
     tool_rotation,
 )
-from ..limits import LARGEST_NUMBER, bounded_number, fault_of_statement
+from ..limits import bounded_number, fault_of_statement
 from ..text import split_lines
+from .language import Language
 from .rapid_values import (
     LEAST_QUATERNION,
     declared,
@@ -48,7 +45,7 @@ from .rapid_values import (
     record_of,
     texts_of_rapid,
 )
-from .reader import Branch, ExternalAxes, Reader
+from .reader import ExternalAxes, Reader
 
 _DECLARED = re.compile(
     r"(?:(?:LOCAL|TASK)\s+)*(?:CONST|PERS|VAR)\s+(\w+)\s+(\w+)\s*(?:\{([^{}]*)\})?"
@@ -105,24 +102,17 @@ _OF_MOTION = frozenset(
 _VMAX = 5.0
 
 
-class _Rapid(Reader):
+class _Rapid(Language):
     """State of the reader of RAPID."""
 
     def __init__(
         self, name: str, tool_axis: ToolAxis, pass_over: Sequence[str]
     ) -> None:
-        super().__init__(tool_axis=tool_axis)
-        self.out.name = name
-        self.pass_over = frozenset(one.upper() for one in pass_over)
-        self.texts = texts_of_rapid(self._missing, self._result)
-        self.code = Code()
-        self.machine = Machine(self.code, self.texts.variables, name, self.faults)
-        self.routine, self.kinds, self.is_running = "", dict[str, str](), False
-        # Of the TEST blocks that are open: what each compares, and its cases.
-        self.tests: list[list[str]] = []
-        # Names of the parameters of each routine that go back to its call.
-        self.returned: dict[str, tuple[str, ...]] = {}
-        self.labels: dict[str, int] = {}
+        super().__init__(name, tool_axis, pass_over)
+        texts = texts_of_rapid(self._missing, self.result_of)
+        self.use(texts, lambda row, line: _statement(row, line, self))
+        # Types of variables by name.
+        self.kinds: dict[str, str] = {}
         self.frame: str | None = None
         # The work object that motions name.
         self.work_object: str | None = None
@@ -138,27 +128,6 @@ class _Rapid(Reader):
 
     def _missing(self, name: Name) -> Value:
         raise ExpressionError(str(name), "the program does not state its value.")
-
-    def _result(self, name: str, arguments: list[Expression]) -> Expression:
-        """Value that a function gives back."""
-
-        def value(variables: Variables) -> Value:
-            routine = self.code.routines.get(name)
-            if routine is None:
-                raise ExpressionError(name, "the program has no such function.")
-            values = [argument(variables) for argument in arguments]
-            own: dict[Name, Value] = dict(zip(routine.parameters, values, strict=False))
-            return self.machine.result_of(name, own)
-
-        return value
-
-    def number(self, text: str) -> float:
-        """Value of a number or of an expression; NaN if it has none, or too large."""
-        try:
-            value = float(text)
-        except ValueError:
-            return self.texts.number(text)
-        return value if abs(value) <= LARGEST_NUMBER else math.nan
 
 
 # Place and quaternion of a frame that is its parent.
@@ -225,20 +194,7 @@ def parse_rapid(
         for line, statement in _statements(rows):
             _compile(statement, begun + line, reader)
         begun += len(rows)
-    code = reader.code
-    if reader.routine:
-        code.end_routine(begun)
-    if not code.faults:
-        code.finish()
-    reader.faults.extend(code.faults)
-    names = list(code.routines)
-    if len(names) > 1 and "MAIN" not in names:
-        message = "which of several PROCs runs? Needed is one of the name main."
-        reader.faults.append(Fault(0, "", message))
-    if not reader.faults:
-        main = "MAIN" if "MAIN" in names else next(iter(names), None)
-        reader.is_running = True
-        reader.machine.run(main)
+    reader.run(begun, "MAIN")
     reader.note_upright_axis()
     program = reader.out.finish(text)
     if reader.work_object is not None:
@@ -296,7 +252,7 @@ def _compile(row: str, line: int, reader: _Rapid) -> None:
     word = re.match(r"\w*", row)[0].upper()  # pyright: ignore[reportOptionalSubscript]
     if _MOVE.match(row):
         reader.let_matter()
-        code.plain(line, lambda machine: _carry_out(row, line, reader))
+        reader.add(line, row)
     elif (
         not row or word in ("MODULE", "ENDMODULE", "VERSION", "LANGUAGE") or "%" in row
     ):
@@ -324,19 +280,17 @@ def _compile(row: str, line: int, reader: _Rapid) -> None:
         if word in ("ENDIF", "ENDWHILE"):
             del reader.branches[-1:]
         code.end(line, (_ENDS[word],))
-    elif word == "ENDTEST" and reader.tests:
-        if len(reader.tests.pop()) > 1:
-            code.end(line, ("if",))
-    elif word == "DEFAULT" and reader.tests:
-        _compile_case("", line, reader)
+    elif word == "ENDTEST" and reader.choices:
+        reader.end_choice(line)
+    elif word == "DEFAULT" and reader.choices:
+        reader.add_case("", line, "=")
     elif word == "IF" and not row.upper().endswith("THEN"):
         try:
             condition, rest = texts.split(row[2:])
         except ExpressionError as error:
             reader.refuse(line, row, str(error))
             return
-        reader.branches.append(Branch(line))
-        code.begin_if(line, reader.condition(texts.expression(condition)))
+        reader.begin_branch(line, texts.expression(condition), is_loop=False)
         if rest[:4].upper() == "THEN":
             # A condition of several lines goes on with the statement behind it.
             _compile(rest[4:].strip(), line, reader)
@@ -347,29 +301,26 @@ def _compile(row: str, line: int, reader: _Rapid) -> None:
     elif head := _HEAD.fullmatch(row):
         value = texts.expression(head[2])
         if word == "TEST":
-            reader.tests.append([head[2]])
-        elif word == "CASE" and reader.tests:
-            _compile_case(head[2], line, reader)
+            reader.choices.append([head[2]])
+        elif word == "CASE" and reader.choices:
+            reader.add_case(head[2], line, "=")
         elif word == "ELSEIF" and reader.branches:
             code.otherwise(line, reader.condition(value))
         else:
-            reader.branches.append(Branch(line))
-            value = reader.condition(value)
-            (code.begin_if if word == "IF" else code.begin_loop)(line, value)
+            reader.begin_branch(line, value, is_loop=word == "WHILE")
     elif word == "GOTO" or row.endswith(":"):
-        label = row.removesuffix(":").split()[-1].upper()
-        number = reader.labels.setdefault(label, len(reader.labels))
+        number = reader.label(row.removesuffix(":").split()[-1])
         reader.let_matter()
         if word == "GOTO":
             code.jump(line, lambda variables: number)
         else:
             code.label(number)
     elif not reader.routine and _DECLARED.fullmatch(row):
-        _carry_out(row, line, reader)
+        reader.attempt(line, row)
     else:
         if not (_QUIET.fullmatch(row) or word in ("WAITTIME", *reader.pass_over)):
             reader.let_matter()
-        code.plain(line, lambda machine: _carry_out(row, line, reader))
+        reader.add(line, row)
 
 
 def _compile_routine(match: re.Match[str], line: int, reader: _Rapid) -> None:
@@ -404,31 +355,6 @@ def _compile_loop(match: re.Match[str], line: int, reader: _Rapid) -> None:
     reader.code.begin_for(line, texts.place(name), first, last, step or one)
 
 
-def _compile_case(values: str, line: int, reader: _Rapid) -> None:
-    """Append a case of a TEST, or its DEFAULT."""
-    test = reader.tests[-1]
-    cases = [f"({test[0]}) = ({one})" for one in split_arguments(values) if one]
-    condition = reader.texts.expression(" OR ".join(cases) or "TRUE")
-    if len(test) == 1:
-        reader.code.begin_if(line, condition)
-    else:
-        reader.code.otherwise(line, condition)
-    test.append(values)
-
-
-def _carry_out(row: str, line: int, reader: _Rapid) -> None:
-    """Carry out a statement; one that comes again has told its faults."""
-    count = len(reader.faults)
-    try:
-        _statement(row, line, reader)
-    except ExpressionError as error:
-        reader.refuse(line, error.word or row, str(error))
-    if reader.faults[count:] and reader.faults[count] in reader.faults[:count]:
-        del reader.faults[count:]
-    if len(reader.faults) > SHOWN_FAULTS:
-        reader.machine.stop()
-
-
 def _statement(row: str, line: int, reader: _Rapid) -> None:
     """Carry out one statement."""
     if message := fault_of_statement(row):
@@ -440,12 +366,7 @@ def _statement(row: str, line: int, reader: _Rapid) -> None:
     elif match := _ASSIGNED.fullmatch(row):
         _assign(match[1], match[2], line, reader)
     elif match := _WAIT.fullmatch(row):
-        duration = reader.number(match[1])
-        if math.isnan(duration) and not re.fullmatch(NUMBER, match[1].strip()):
-            reader.refuse(line, row, "needed is a number of seconds.")
-            return
-        duration = float(match[1]) if math.isnan(duration) else duration
-        reader.out.dwell(duration, line, row)
+        reader.rest(match[1], row, line)
     elif match := _OVERRIDE.fullmatch(row):
         _set_override(match[1], row, line, reader)
     elif match := _QUIET.fullmatch(row):
@@ -454,13 +375,7 @@ def _statement(row: str, line: int, reader: _Rapid) -> None:
             sentence = "where the wrist is straight, the controller may turn the tool"
         reader.out.note(match[1], sentence, line)
     elif not ((match := _CALL.fullmatch(row)) and _call(match, line, reader)):
-        message = "is no plain motion and is not supported"
-        if match is not None and match[1].upper() not in ("IF", "WHILE", "FOR"):
-            message += (
-                f'; [program] pass_over = ["{match[1]}"] leaves it out if it moves '
-            )
-            message += "neither arm nor work"
-        reader.refuse(line, row, f"{message}.")
+        reader.refuse_statement(row, line, None if match is None else match[1])
 
 
 def _call(match: re.Match[str], line: int, reader: _Rapid) -> bool:
@@ -468,10 +383,7 @@ def _call(match: re.Match[str], line: int, reader: _Rapid) -> bool:
     name, texts = match[1].upper(), reader.texts
     routine = reader.code.routines.get(name)
     if routine is None:
-        if name in reader.pass_over:
-            sentence = "is passed over, as [program] pass_over says"
-            reader.out.note(match[1], sentence, line)
-        return name in reader.pass_over
+        return reader.passes(match[1], line)
     own: dict[Name, Value] = dict.fromkeys(routine.parameters)
     back: dict[str, Variable] = {}
     places = list(routine.parameters)

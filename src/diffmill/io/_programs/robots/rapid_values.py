@@ -108,6 +108,10 @@ def _whole_quotient(a: Any, b: Any) -> Value:
     return int(a / b)
 
 
+def _remainder(a: Any, b: Any) -> Value:
+    return math.fmod(a, b)
+
+
 def _moved(name: str, values: list[Any], turns: dict[str, Any]) -> Value:
     """Target that Offs moves along the work object, RelTool along the tool."""
     target, *way = values
@@ -208,7 +212,7 @@ def texts_of_rapid(
                 "*": _times,
                 "/": operator.truediv,
                 "DIV": _whole_quotient,
-                "MOD": math.fmod,
+                "MOD": _remainder,
             },
         ),
         unary={

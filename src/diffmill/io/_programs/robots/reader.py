@@ -61,8 +61,13 @@ class Reader:
         for branch in self.branches:
             branch.has_effect = True
 
+    def condition_of(self, line: int, value: Expression) -> Expression:
+        """Condition of a branch that begins; it may be unknown where nothing moves."""
+        self.branches.append(Branch(line))
+        return self.condition(value)
+
     def condition(self, value: Expression) -> Expression:
-        """Condition of the innermost branch; it may be unknown where nothing moves."""
+        """Condition of the innermost branch, as `condition_of`."""
         branch = self.branches[-1]
 
         def known(variables: Variables) -> Value:

@@ -1,0 +1,172 @@
+"""Base of the readers of KRL and RAPID, whose programs a `Machine` carries out."""
+
+import functools
+import math
+import re
+from collections.abc import Callable, Sequence
+
+from ..control import Code, Machine
+from ..expressions import (
+    NUMBER,
+    Expression,
+    ExpressionError,
+    Name,
+    Value,
+    Variables,
+    split_arguments,
+)
+from ..faults import SHOWN_FAULTS
+from ..geometry import ToolAxis
+from ..limits import LARGEST_NUMBER
+from .reader import Reader
+from .texts import Texts
+
+
+class Language(Reader):
+    """State of the reader of a program with routines, loops and variables.
+
+    Attributes:
+        code: The program.
+        texts: Its expressions and variables.
+        machine: Its run.
+        pass_over: Names of routines that move nothing, in upper case.
+        routine: The routine that is compiled now, "" outside of any.
+        returned: By routine, the names of the parameters that go back to its call.
+        is_running: Whether the program runs, and is no longer compiled.
+    """
+
+    def __init__(self, name: str, tool_axis: ToolAxis, pass_over: Sequence[str]):
+        super().__init__(tool_axis=tool_axis)
+        self.out.name = name
+        self.pass_over = frozenset(one.upper() for one in pass_over)
+        self.code, self.routine, self.is_running = Code(), "", False
+        self.returned: dict[str, tuple[str, ...]] = {}
+        # Of the choices that are open: what each compares, and its cases.
+        self.choices: list[list[str]] = []
+        self._labels: dict[str, int] = {}
+
+    def use(self, texts: Texts, statement: Callable[[str, int], None]) -> None:
+        """Take the expressions of the language, and what carries out a statement."""
+        self.texts, self._statement, self._go = texts, statement, self._carry_out_step
+        self.machine = Machine(self.code, texts.variables, self.out.name, self.faults)
+
+    def result_of(self, name: str, arguments: list[Expression]) -> Expression:
+        """Value that a function of the program gives back."""
+
+        def value(variables: Variables) -> Value:
+            routine = self.code.routines.get(name)
+            if routine is None:
+                raise ExpressionError(name, "the program has no such function.")
+            values = [argument(variables) for argument in arguments]
+            own: dict[Name, Value] = dict(zip(routine.parameters, values, strict=False))
+            return self.machine.result_of(name, own)
+
+        return value
+
+    def number(self, text: str) -> float:
+        """Value of a number or of an expression; NaN if it has none, or too large."""
+        try:
+            value = float(text)
+        except ValueError:
+            return self.texts.number(text)
+        return value if abs(value) <= LARGEST_NUMBER else math.nan
+
+    def label(self, name: str) -> int:
+        """Number of a label."""
+        return self._labels.setdefault(name.upper(), len(self._labels))
+
+    def begin_branch(self, line: int, value: Expression, *, is_loop: bool) -> None:
+        """Append the begin of an IF, or of a WHILE."""
+        condition = self.condition_of(line, value)
+        (self.code.begin_loop if is_loop else self.code.begin_if)(line, condition)
+
+    def add_case(self, values: str, line: int, sign: str) -> None:
+        """Append a case of the innermost choice, or the one for all other values.
+
+        Args:
+            values: Values with commas, "" for all others.
+            line: Its line.
+            sign: Operator that compares two values.
+        """
+        choice = self.choices[-1]
+        tests = [
+            f"(({choice[0]}) {sign} ({one}))" for one in split_arguments(values) if one
+        ]
+        condition = self.texts.expression(" OR ".join(tests) or "TRUE")
+        if len(choice) == 1:
+            self.code.begin_if(line, condition)
+        else:
+            self.code.otherwise(line, condition)
+        choice.append(values)
+
+    def end_choice(self, line: int) -> None:
+        """Append the end of the innermost choice."""
+        if len(self.choices.pop()) > 1:
+            self.code.end(line, ("if",))
+
+    def add(self, line: int, row: str) -> None:
+        """Append a statement."""
+        # Most lines of long programs are statements: each has as few objects as can be.
+        self.code.plain(line, functools.partial(self._go, line, row))
+
+    def _carry_out_step(self, line: int, row: str, machine: Machine) -> None:
+        self.attempt(line, row)
+        if len(self.faults) > SHOWN_FAULTS:
+            machine.stop()
+
+    def attempt(self, line: int, row: str) -> None:
+        """Carry out a statement; what is wrong is told, once."""
+        count = len(self.faults)
+        try:
+            self._statement(row, line)
+        except ExpressionError as error:
+            self.refuse(line, error.word or row, str(error))
+        if self.faults[count:] and self.faults[count] in self.faults[:count]:
+            del self.faults[count:]
+
+    def rest(self, value: str, row: str, line: int) -> None:
+        """Let the tool rest for so many seconds."""
+        duration = self.number(value)
+        if math.isnan(duration) and re.fullmatch(NUMBER, value.strip()):
+            duration = float(value)
+        if math.isnan(duration):
+            self.refuse(line, row, "needed is a number of seconds.")
+        else:
+            self.out.dwell(duration, line, row)
+
+    def passes(self, name: str, line: int) -> bool:
+        """True if a job says that a routine of another file moves nothing."""
+        if name.upper() in self.pass_over:
+            sentence = "is passed over, as [program] pass_over says"
+            self.out.note(name, sentence, line)
+        return name.upper() in self.pass_over
+
+    def refuse_statement(self, row: str, line: int, name: str | None) -> None:
+        """Refuse a statement, which may be a call of a routine of another file."""
+        message = "is no plain motion and is not supported"
+        if name is not None:
+            message += f'; [program] pass_over = ["{name}"] leaves it out if it moves '
+            message += "neither arm nor work"
+        self.refuse(line, row, f"{message}.")
+
+    def run(self, last: int, main: str | None) -> None:
+        """End what is open and carry the program out.
+
+        Args:
+            last: Last line of the program.
+            main: Name of its main routine, if that has to have one.
+        """
+        code = self.code
+        if self.routine:
+            code.end_routine(last)
+        if not code.faults:
+            code.finish()
+        self.faults.extend(code.faults)
+        names = list(code.routines)
+        if main is not None and len(names) > 1 and main not in names:
+            message = f"which of several routines runs? Needed is one named {main}."
+            self.refuse(0, "", message)
+        if not self.faults:
+            self.is_running = True
+            first = next(iter(names), None)
+            self.machine.run(main if main in names else first)
