@@ -539,7 +539,11 @@ def _pose(text: str, line: int, reader: _Krl) -> dict[str, float] | None:
         return dict.fromkeys(_JOINTS, 0.0)
     if not pose:
         reader.refuse(line, text, "no position of this name is declared as numbers.")
-    return pose or None
+        return None
+    if max(map(abs, pose.values())) > LARGEST_NUMBER:
+        reader.refuse(line, text, f"a number is {LARGEST_NUMBER:g} at most.")
+        return None
+    return pose
 
 
 def _motion(
@@ -744,10 +748,11 @@ def _spline_moves(knots: list[_Knot], line: int, reader: _Krl) -> None:
     shares = np.array([knot.share for knot in knots])
     is_timed = not np.isnan(shares).any()
     steps = shares if is_timed else np.linalg.norm(np.diff(points, axis=0), axis=1)
-    if not np.all(steps > 0):
-        reader.refuse(line, "ENDSPLINE", "two points of the spline are the same.")
-        return
     time = np.concatenate([[0.0], np.cumsum(steps)])
+    if not np.all(np.diff(time) > 0) or not np.isfinite(rows).all():
+        message = "two points of the spline are the same, or too far away."
+        reader.refuse(line, "ENDSPLINE", message)
+        return
     curve = CubicSpline(time, rows, bc_type="natural")
     bend = np.linalg.norm(curve(time, 2)[:, :3], axis=1)
     for index, knot in enumerate(knots):
