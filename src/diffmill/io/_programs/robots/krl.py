@@ -289,7 +289,7 @@ def _compile(row: str, line: int, reader: _Krl) -> None:
     elif label := _LABEL.fullmatch(row):
         code.label(reader.label(label[1]))
     else:
-        if not (_QUIET.fullmatch(row) or word in ("WAIT", *reader.pass_over)):
+        if not (_QUIET.fullmatch(row) or word in ("WAIT", "HALT", *reader.pass_over)):
             reader.let_matter()
         reader.add(line, row)
 
