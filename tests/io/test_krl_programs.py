@@ -125,6 +125,15 @@ def test_what_has_no_end_or_no_value_ends_with_its_line(
     assert len(caught.value.faults) == 1
 
 
+def test_a_job_gives_the_speed_that_a_program_leaves_to_the_controller(tmp_path):
+    text = krl("LIN {X 1}", "$VEL.CP=0.1", "LIN {X 2}").replace("$VEL.CP=0.05", "")
+    (tmp_path / "part.src").write_text(text)
+    with pytest.raises(ProgramError, match=r"there is no speed.*\[program\] feed"):
+        read_program(tmp_path / "part.src")
+    program = read_program(tmp_path / "part.src", setup=ProgramSetup(feed=0.02))
+    assert [move.feed for move in program.moves] == [None, 0.02, 0.1]
+
+
 def test_a_fault_in_a_loop_is_told_once(faults):
     rows = ["INT I", "FOR I=1 TO 9", "LIN XP9", "ENDFOR"]
     assert faults(krl(*rows)) == [(6, "XP9")]

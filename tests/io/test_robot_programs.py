@@ -376,7 +376,7 @@ H = "PTP {X 0,Y 0,Z 0,A 0,B 0,C 180}"
         (".src", "DEF a( )\nPTP {X 1}\nLIN {X 2}\nEND", 3),
         (".src", f"DEF a( )\n$BASE={{X 1}}\n{H}\n$BASE={{X 2}}\n{H}\nEND", 4),
         (".src", "DEF a( )\nPTP {X 1}\n$VEL.CP=1\nCIRC {X 2},{X 3}\nEND", 4),
-        (".src", "DEF a( )\nPTP {X 1}\nIF $IN[1] THEN\nHALT\nENDIF\nEND", 3),
+        (".src", "DEF a( )\nPTP {X 1}\nIF $IN[1] THEN\nLIN {X 3}\nENDIF\nEND", 3),
         (".src", "DEF a( )\n$VEL.CP=1\nLIN_REL {X 1}\nEND", 3),
         (".src", "DEF a( )\n$VEL.CP=FAST\nEND", 2),
         (".mod", "MODULE a\nVAR robtarget q;\nMoveL q,v50,z1,tool0;", 3),

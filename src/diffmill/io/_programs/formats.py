@@ -86,8 +86,14 @@ def _parsed(text: str, path: pathlib.Path, setup: ProgramSetup) -> Program:
         files = [one for one in files if one.name.lower() == exact.name.lower()]
         files = [one for one in files if one.is_file()]
         data = read_text(files[0]) if files else ""
-        more = setup.pass_over
-        return parse_krl(text, data, name=path.name, tool_axis=axis, pass_over=more)
+        return parse_krl(
+            text,
+            data,
+            name=path.name,
+            tool_axis=axis,
+            pass_over=setup.pass_over,
+            feed=setup.feed,
+        )
     if suffix in RAPID:
         return _rapid(text, path, setup)
     if suffix in APT:

@@ -178,6 +178,7 @@ def parse_krl(
     name: str = "program.src",
     tool_axis: ToolAxis = "z",
     pass_over: Sequence[str] = (),
+    feed: float | None = None,
 ) -> Program:
     """Return the moves of a KRL program.
 
@@ -187,11 +188,13 @@ def parse_krl(
         name: Name for messages.
         tool_axis: Axis of the controller's tool that points from the shank to the tip.
         pass_over: Names of routines of other files that move nothing.
+        feed: Feed of moves before the program states one [m/s].
 
     Raises:
         ProgramError: If anything but plain motion is found; up to 20 faults.
     """
     reader = _Krl(name, tool_axis, pass_over)
+    reader.feed = feed
     for number, row in enumerate(split_lines(data, name), 1):
         bare = _bare(row)
         if message := fault_of_statement(bare):

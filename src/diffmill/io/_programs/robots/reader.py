@@ -192,7 +192,8 @@ class Reader:
         if duration is not None:
             return None
         if self.feed is None:
-            self.refuse(line, "", "there is no speed; needed is one before this line.")
+            message = "there is no speed; needed is one before this line"
+            self.refuse(line, "", f"{message}, in KRL or [program] feed.")
         return self.feed
 
 
