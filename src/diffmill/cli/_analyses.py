@@ -87,8 +87,6 @@ def add_analyses(folder: pathlib.Path, run: FinishedRun, progress: Progress) -> 
         ):
             with attempts.at(name):
                 dataset = step(run._replace(dataset=dataset), progress)
-            # The search for chatter has read programs of its own.
-            give_back_memory()
     finally:
         # It includes chatter and scatter; after an interruption it has the others.
         with attempts.at("verdict"):
@@ -100,6 +98,8 @@ def add_analyses(folder: pathlib.Path, run: FinishedRun, progress: Progress) -> 
         result = _write_pictures(target, finished, attempts)
         (target / "result.nc").write_bytes(netcdf_bytes(result))
 
+    # The search for chatter has read programs of its own.
+    give_back_memory()
     attempts.add(folder, fill)
     return attempts.conclude(folder)
 
@@ -305,7 +305,6 @@ def _write_pictures(
             figures = write_figures(folder, run.dataset, is_chosen=of_rows)
         with attempts.at("surface"):
             inputs = computed.result()
-            give_back_memory()
             if inputs["surfaces"]:
                 _write_surface(folder / "surface.nc", inputs["surfaces"])
     with attempts.at("figures"):

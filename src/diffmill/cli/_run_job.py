@@ -163,7 +163,9 @@ class JobRun:
 
     def finish(self, band: float | None, importing: threading.Thread) -> int:
         """Run the job, write its results and figures; return the exit code."""
+        from .._padding import LONGEST
         from .._result import SimulationFailed
+        from ..numerics import CachedJit
         from ..viz import summary
 
         checkpoint, start = self.checkpoint, time.perf_counter()
@@ -189,6 +191,9 @@ class JobRun:
             raise
         seconds = time.perf_counter() - start
         importing.join()
+        if self._job.path.step_count > LONGEST:
+            # Figures read one of these programs again, of the rigid cut.
+            CachedJit.forget_all()
         # Programs took more while they were made than results and figures take.
         give_back_memory()
         seconds += checkpoint.spent
