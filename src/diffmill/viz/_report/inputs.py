@@ -64,6 +64,7 @@ def figure_inputs(
         CachedJit.forget_all()
         give_back_memory()
         maps = compare()
+        give_back_memory()
     else:
         with concurrent.futures.ThreadPoolExecutor(1) as pool:
             # Another core compares the surfaces while compiled code runs here.
