@@ -16,6 +16,7 @@ import tyro
 from .._messages import printable
 from .._toml import read_toml
 from ._session.errors import BadInput, Interrupted, bad_input
+from ._session.job_options import JobOptions
 from ._session.usage import check_usage, shell_of
 
 if TYPE_CHECKING:
@@ -443,23 +444,7 @@ def new(
         tyro.conf.arg(metavar="PROGRAM", help="A program or a recorded path."),
     ],
     *,
-    robot: Annotated[
-        str | None,
-        tyro.conf.arg(help="A built-in model, or a robot file (.toml, .urdf)."),
-    ] = None,
-    diameter: Annotated[
-        str | None, tyro.conf.arg(help='Diameter of the cutter, such as "10 mm".')
-    ] = None,
-    teeth: Annotated[int | None, tyro.conf.arg(help="Its number of teeth.")] = None,
-    material: Annotated[
-        str | None, tyro.conf.arg(help="Material of the work, by name.")
-    ] = None,
-    speed: Annotated[
-        str | None, tyro.conf.arg(help='Spindle speed, such as "8000 rpm".')
-    ] = None,
-    tool: Annotated[
-        int | None, tyro.conf.arg(help="Number of the tool, of several.")
-    ] = None,
+    options: Annotated[JobOptions, tyro.conf.arg(name="")] = JobOptions(),
     out: Annotated[
         pathlib.Path | None,
         tyro.conf.arg(help="The job; PROGRAM with .toml if not given."),
@@ -468,12 +453,12 @@ def new(
     shown: _Shown = _Display(),
 ) -> int:
     """Write a commented job for a program; ask on a terminal for what it lacks."""
-    from ._new import JobOptions, run_new
+    from ._new import run_new
 
     can_ask = sys.stdin.isatty() and sys.stdout.isatty()
     return run_new(
         program,
-        JobOptions(robot, diameter, teeth, material, speed, tool),
+        options,
         out,
         force=force,
         progress=shown.progress(),

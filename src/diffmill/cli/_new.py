@@ -1,5 +1,6 @@
 """A commented job for a program: what the program says, and what is to be filled in."""
 
+import dataclasses
 import json
 import math
 import os
@@ -14,6 +15,7 @@ from jaxtyping import Float
 from .._jax_config import configure_jax
 from .._results_folder import write_whole
 from ._session.errors import BadInput, bad_input
+from ._session.job_options import JobOptions
 from ._session.progress import Progress
 
 if TYPE_CHECKING:
@@ -36,28 +38,8 @@ _TOOL = re.compile(r"\bT\d|mill\b|tool|cutter|fr[aä]ser|\bbit\b", re.IGNORECASE
 _COMMENT = re.compile(r"\(([^)]*)\)|[;!](.*)|^\s*PPRINT(.*)", re.MULTILINE)
 
 
-class JobOptions(NamedTuple):
-    """What an option says of a job; None for what is left to program or user.
-
-    Attributes:
-        robot: A built-in model, or a robot file.
-        diameter: Of the cutter, with its unit.
-        teeth: Number of teeth.
-        material: Name of a material.
-        speed: Of the spindle, with its unit.
-        tool: Number of the tool, of several in the program.
-    """
-
-    robot: str | None = None
-    diameter: str | None = None
-    teeth: int | None = None
-    material: str | None = None
-    speed: str | None = None
-    tool: int | None = None
-
-
 class _Facts(NamedTuple):
-    """What a program says.
+    """Facts of a program that a job needs.
 
     Attributes:
         lower: Least coordinates of the tip at a feed [m].
@@ -142,7 +124,7 @@ def _check_name(option: str, name: str | None, allowed: list[str]) -> None:
 
 
 def _facts(file: pathlib.Path, tool: int | None) -> _Facts:
-    """What a program or a recorded path says.
+    """Facts of a program or a recorded path.
 
     Raises:
         ValueError: It cannot be read, has no such tool, or moves nothing at a feed.
@@ -226,7 +208,7 @@ def _asked(
         if key == "teeth" and not answer.isdigit():
             raise BadInput(f"teeth: found {answer!r}, but a whole number is required")
         value = int(answer) if key == "teeth" else answer
-        options = options._replace(**{key: value})
+        options = dataclasses.replace(options, **{key: value})
     _check_name("material", options.material, materials)
     return options
 

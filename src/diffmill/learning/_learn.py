@@ -271,7 +271,7 @@ def learn(
     commands = CommandSearch(
         found.job, search.rigid, tuple(search.commands), found.part_errors
     )
-    correction = commands.found(max_steps, state, lambda at: keep(at.arrays()), tell)
+    correction = commands.search(max_steps, state, lambda at: keep(at.arrays()), tell)
     return dataclasses.replace(found, correction=correction)
 
 

@@ -55,7 +55,7 @@ class CommandSearch(eqx.Module):
             return np.inf
         return _SHORTER * _distance(self.commands[-1], self.best)
 
-    def found(
+    def search(
         self,
         max_steps: int,
         state: LearningState,

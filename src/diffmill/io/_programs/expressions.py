@@ -107,7 +107,7 @@ def _count(value: Value) -> int:
 
 
 class Variable(NamedTuple):
-    """Where a value can be put: a variable, or a part of one.
+    """Variable, or a part of one, to which a value is assigned.
 
     Attributes:
         name: The variable's name.
@@ -165,7 +165,7 @@ def _copied(value: Value) -> Value:
 
 
 class _Operand(NamedTuple):
-    """What stands behind an operator, with it."""
+    """Operator with the operand behind it."""
 
     operator: Callable[[Value, Value], Value]
     value: Expression
@@ -177,7 +177,7 @@ def _no_operand(parser: "Parser") -> Expression | None:
 
 @dataclass(frozen=True)
 class Grammar:
-    """How a language writes expressions. Words are in upper case.
+    """Grammar of the expressions of a language. Words are in upper case.
 
     Attributes:
         token: Pattern of a token; its groups `number`, `name`, `text` (a string, with

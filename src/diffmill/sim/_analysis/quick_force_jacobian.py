@@ -164,7 +164,7 @@ def _pushes(
 ) -> tuple[
     Float[Array, "piece tooth element 3"], Float[Array, "piece tooth element 3"]
 ]:
-    """Return how the forces of elements grow with their chip [N/m], and normals.
+    """Slopes of the forces of elements in their chip [N/m], and their normals.
 
     Args:
         process: The process.

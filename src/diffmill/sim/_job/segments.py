@@ -170,7 +170,7 @@ def _place(
     rows: PathRows,
     plan: SegmentPlan,
 ) -> RunPlace:
-    """Where a run begins, or where a checkpoint goes on."""
+    """Place at which a run begins, or at which a checkpoint goes on."""
     told, teller = rows.command(next(iter(segments)), None)
     state, none = _begun(machine, process, told), on_device(np.zeros((), np.int32))
     begun = RunPlace(state, None, none)
@@ -194,7 +194,7 @@ def _ran(
     rows: PathRows,
     plan: SegmentPlan,
 ) -> tuple[RunPlace, SegmentOutputs]:
-    """Where a run is behind a segment, and what it gave in it."""
+    """Place of a run behind a segment, and its outputs in it."""
     told, teller = rows.command(segment, place.teller)
     count, state = on_device(np.asarray(segment.row_count, np.int32)), place.state
     while True:

@@ -92,7 +92,7 @@ def _krl_dwell(seconds: float) -> str:
 
 
 def _around(program: Program, suffix: str, tool_axis: ToolAxis) -> RobotFrame:
-    """What stands around the motion in the source of a program of the same language.
+    """Lines around the motion in the source of a program of the same language.
 
     Its tool is that of the positions only where the same axis of it points to the tip.
     """

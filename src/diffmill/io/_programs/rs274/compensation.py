@@ -198,7 +198,7 @@ class CutterCompensation:
         self.place = end
 
     def _meeting(self, before: _Side, side: _Side) -> complex:
-        """Where the paths of the tool along two moves meet, next to their corner."""
+        """Intersection of the tool's paths along two moves, next to their corner."""
         corner = side.begin
         a, b = corner + self._offset(before.last), corner + self._offset(side.first)
         if before.centre is None and side.centre is None:

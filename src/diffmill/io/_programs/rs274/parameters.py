@@ -211,7 +211,7 @@ class Parameters:
 
     @property
     def grammar(self) -> Grammar:
-        """How the dialect writes expressions."""
+        """Grammar of the expressions of a dialect."""
         return FANUC if self.dialect == "fanuc" else LINUXCNC
 
     def set(self, name: Name, value: Value) -> None:
@@ -277,7 +277,7 @@ class Parameters:
         }
 
     def _place(self, axis: int) -> float:
-        """Where the tool is along an axis, in the program's system and units."""
+        """Place of the tool along an axis, in the program's system and units."""
         state = self.state
         if AXES[axis] in state.unknown or state.shift is None or not state.out.moves:
             message = f"where the tool is in {AXES[axis]} is not known here."
