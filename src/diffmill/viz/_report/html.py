@@ -80,10 +80,32 @@ def image_html(path: Path, title: str, caption: str) -> str:
     )
 
 
-def section_html(title: str, *blocks: str) -> str:
-    """Return a titled section, or nothing when all blocks are empty."""
+def section_html(title: str, *blocks: str, is_folded: bool = False) -> str:
+    """Return a titled section, or nothing when all blocks are empty.
+
+    Args:
+        title: Its title.
+        blocks: Its content.
+        is_folded: True if it opens when the reader asks for it.
+    """
     content = "\n".join(block for block in blocks if block)
-    return f"<section><h2>{escape(title)}</h2>\n{content}</section>" if content else ""
+    if not content:
+        return ""
+    if is_folded:
+        content = f"<details><summary>show</summary>{content}</details>"
+    anchor = escape(_anchor(title))
+    return f'<section id="{anchor}"><h2>{escape(title)}</h2>\n{content}</section>'
+
+
+def contents_html(titles: Sequence[str]) -> str:
+    """Return links to sections."""
+    links = [f'<a href="#{escape(_anchor(t))}">{escape(t)}</a>' for t in titles]
+    return f'<nav aria-label="contents">{"".join(links)}</nav>'
+
+
+def _anchor(title: str) -> str:
+    """Name of a section within the page."""
+    return title.lower().replace(" ", "-")
 
 
 def page_html(title: str, body: str) -> str:

@@ -40,9 +40,11 @@ from .._cases import (
     values_of,
 )
 from .._style import MICROMETRE, case_style
+from .before_loading import Check, checks_before_loading
 from .case_parts import parts_html, surface_figures_html
 from .html import (
     LargeNumber,
+    contents_html,
     image_html,
     numbers_html,
     page_html,
@@ -80,6 +82,10 @@ _SPECIAL = (
     "incomplete_time",
     "incomplete_place",
 )
+# Sections that open when the reader asks for them.
+_FOLDED = ("Job", "Cost", "Settings", "Versions")
+# How a line of a result's notes begins that is a warning.
+_WARNING = "warning: "
 _PREFIXES = tuple(
     f"{kind}_"
     for kind in (
@@ -115,6 +121,8 @@ def write_report(
     title = f"{name} (incomplete)" if failure else name
     lines = str(dataset.attrs.get("notes", "")).splitlines()
     notes = [line for line in lines if line.strip()]
+    warnings = [line for line in notes if line.startswith(_WARNING)]
+    notes = [line for line in notes if line not in warnings]
     images = []
     for file in figures.values():
         if file.path is None:
@@ -136,20 +144,27 @@ def write_report(
         job=job,
         band=tolerance_band(dataset),
     )
-    body = [
-        _head(kind, title, dataset, failure),
-        section_html("Where the tool misses", scene),
-        section_html("Result", *_result_blocks(dataset)),
-        section_html("On the machine", _items(machine_lines(dataset, job))),
-        section_html("What limited the result", _items(limits(dataset, bounds))),
-        section_html("By part of the path", parts_html(dataset)),
-        section_html("Machined surface", surface_figures_html(dataset)),
-        section_html("Cost", _cost_table(costs)),
-        section_html("Figures", *images),
-        section_html("Notes and warnings", _items(notes)),
-        section_html("What was asked", f"<pre>{source}</pre>" if source else ""),
-        section_html("Settings", _pairs(listed, "setting")),
-        section_html("Versions", _pairs({n: v for n, _, v in pairs}, "program")),
+    loading = "" if failure else _checks(checks_before_loading(dataset, job))
+    sections = {
+        "Where the tool misses": scene,
+        "Result": "\n".join(_result_blocks(dataset)),
+        "Before you load it": loading,
+        "On the machine": _items(machine_lines(dataset, job)),
+        "What limited the result": _items(limits(dataset, bounds)),
+        "By part of the path": parts_html(dataset),
+        "Machined surface": surface_figures_html(dataset),
+        "Figures": "\n".join(images),
+        "Notes": _items(notes),
+        "Job": f"<pre>{source}</pre>" if source else "",
+        "Cost": _cost_table(costs),
+        "Settings": _pairs(listed, "setting"),
+        "Versions": _pairs({n: v for n, _, v in pairs}, "program"),
+    }
+    sections = {title: content for title, content in sections.items() if content}
+    body = [_head(kind, title, dataset, failure, warnings), contents_html([*sections])]
+    body += [
+        section_html(title, content, is_folded=title in _FOLDED)
+        for title, content in sections.items()
     ]
     path = Path(out_dir) / "report.html"
     page = page_html(f"{title} - diffmill", "\n".join(block for block in body if block))
@@ -157,7 +172,20 @@ def write_report(
     return path
 
 
-def _head(kind: str, title: str, dataset: "xarray.Dataset", failure: str) -> str:
+def _checks(checks: Sequence[Check]) -> str:
+    """Table of checks before a program is loaded."""
+    marks = {True: "\u2713", False: "\u2717", None: "\u2610 look"}
+    rows = [[marks[one.is_good], one.name, one.finding] for one in checks]
+    return table_html(["", "check", "finding"], rows, is_text=True)
+
+
+def _head(
+    kind: str,
+    title: str,
+    dataset: "xarray.Dataset",
+    failure: str,
+    warnings: Sequence[str],
+) -> str:
     numbers = {name: case_numbers(dataset, name) for name in case_names(dataset)}
     text = [
         "<header>",
@@ -176,6 +204,9 @@ def _head(kind: str, title: str, dataset: "xarray.Dataset", failure: str) -> str
         f'<p class="banner{mark}" id="verdict"><b>{escape(judged.title)}.</b> '
         f"{escape(judged.text)}</p>"
     )
+    if warnings:
+        shown = [line.removeprefix(_WARNING) for line in warnings]
+        text.append(f'<div class="banner bad" id="warnings">{_items(shown)}</div>')
     text.append(numbers_html(_headline(dataset, numbers)))
     return "\n".join([*text, "</header>"])
 
