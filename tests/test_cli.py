@@ -7,11 +7,13 @@ import re
 import subprocess
 import sys
 
+import jax
 import numpy as np
 import pytest
 import xarray
 from helpers import cut_rms, names, python
 
+import diffmill as dm
 from diffmill import examples, load_job
 from diffmill.cli import main
 from small_job import CUTS, small_job
@@ -402,12 +404,39 @@ def test_check_other_files(folder, capsys):
     assert "tooth periods of 3.75 ms" in text
     assert "rigid" in text
     # A rigid machine has nothing to correct.
-    assert "expected: simulate about 1 s, within" in text
+    assert re.search(r"expected: simulate about 1 s, 0\.\d\d GB; time within", text)
     (folder / "path.csv").write_text("time_s,x_mm,y_mm,z_mm\n0,0,0,0\n1,5,0,0\n")
     assert main(["check", "path.csv"]) == 0
     assert "x: 0.000 to 5.000 mm" in capsys.readouterr().out
     assert main(["check", "part.dxf"]) == 2
     assert ".csv" in capsys.readouterr().err
+
+
+def expected_bytes(file, capsys):
+    """Rows of a job's path, and the memory that `check` expects [byte]."""
+    assert main(["check", file]) == 0
+    text = capsys.readouterr().out
+    found = re.search(r"(\d+) tooth per(?s:.*)s, ([\d.]+) GB; time", text)
+    assert found is not None
+    return int(found[1]), 1e9 * float(found[2])
+
+
+@pytest.mark.slow
+def test_check_counts_what_the_rows_of_a_solution_take(folder, capsys):
+    """Three times over: they stay, and as much is made of them."""
+    job = load_job("job.toml")
+    solution = dm.simulate(job)
+    leaves = jax.tree.leaves((job.path, solution))
+    rows = [x for x in leaves if np.ndim(x) and len(x) == job.path.step_count]
+    # A long path is kept at the tooth instants of the rigid cut alone.
+    inner = solution.rigid.ends.nbytes - solution.rigid.actual.nbytes
+    each = (sum(x.nbytes for x in rows) - inner) / job.path.step_count
+    short, before = expected_bytes("job.toml", capsys)
+    text = re.sub(r"F\d+", "F0.3", (folder / "part.ngc").read_text())
+    (folder / "part.ngc").write_text(text)
+    long, after = expected_bytes("job.toml", capsys)
+    assert long > 100_000
+    assert after - before == pytest.approx(3 * each * (long - short), rel=0.1)
 
 
 def test_check_campaign_and_result(folder, capsys):

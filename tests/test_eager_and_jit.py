@@ -927,6 +927,7 @@ LEFT_OUT = {
         "correction.Correction.*",
         "correction.feed_tradeoff",
         "correction.place_workpiece",
+        "correction.SegmentRows.*",
         "correction.tune_feed",
         "correction.JointLimits.*",
         "correction.TipPlant.run",

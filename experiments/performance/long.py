@@ -27,6 +27,8 @@ PASS_ROWS, POCKET_ROWS = 1190, 1120
 POCKET_EVERY = 4
 # To reach, per tooth period and in all.
 MILLISECONDS, MEGABYTES = 0.28, 1200
+# Within which factor `check` foretells the memory.
+FORETOLD = 1.5
 
 
 def measure(report):
@@ -46,10 +48,12 @@ def measure_rows(report, counts, folder):
         command += ["--out", str(out), "--force"]
         run(command, environment)
         wall, processor, memory = run(command, environment)
-        rows = row_count(job, environment)
+        rows, expected = foretold(job, environment)
         spent[rows] = processor
         report.say(f"{rows:8d} {wall:8.1f} {processor:12.1f} {memory:7.0f}")
         report.figure(f"peak memory of {rows} rows", memory, MEGABYTES, "MB")
+        ratio = max(memory / expected, expected / memory)
+        report.figure("to what `check` expects, or the inverse", ratio, FORETOLD, "x")
     if len(spent) > 1:
         (first, less), *_, (last, more) = sorted(spent.items())
         each = 1e3 * (more - less) / (last - first)
@@ -117,13 +121,14 @@ def run(command, environment):
     return wall, processor, usage.ru_maxrss / 1024
 
 
-def row_count(job, environment):
-    """Return the number of tooth periods of a job."""
+def foretold(job, environment):
+    """Return the number of tooth periods of a job, and its expected memory [MB]."""
     command = [sys.executable, "-m", "diffmill", "check", str(job)]
     said = subprocess.run(command, env=environment, capture_output=True, text=True)
     found = re.search(r"path: (\d+) tooth periods", said.stdout)
-    assert found is not None, said.stdout + said.stderr
-    return int(found[1])
+    memory = re.search(r"simulate about [^;]*, ([\d.]+) GB", said.stdout)
+    assert found and memory, said.stdout + said.stderr
+    return int(found[1]), 1e3 * float(memory[1])
 
 
 if __name__ == "__main__":

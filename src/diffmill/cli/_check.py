@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from .._jax_config import configure_jax
 from .._toml import parse_toml
-from ._expected_time import expected_campaign_line, expected_time_line
+from ._expected import expected_campaign_line, expected_time_line
 from ._session.progress import Progress
 
 if TYPE_CHECKING:

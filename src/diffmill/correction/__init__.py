@@ -48,6 +48,7 @@ from ._job.joint_limits import (
 from ._job.objective import UnsuitableSettings as UnsuitableSettings
 from ._job.plants import ScaledPlant as ScaledPlant, TipPlant as TipPlant
 from ._job.residual import residual as residual
+from ._job.segment_rows import SegmentRows as SegmentRows
 from ._method.adam import Adam as Adam
 from ._method.ensemble import (
     DelayedPlant as DelayedPlant,

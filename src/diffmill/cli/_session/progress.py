@@ -8,7 +8,7 @@ from types import TracebackType
 from rich.console import Console
 
 from ..._messages import printable
-from .._expected_time import spelled
+from .._expected import spelled
 
 # A shorter compilation gets no line [s].
 _LEAST_COMPILATION = 0.2
