@@ -41,7 +41,7 @@ from .._cases import (
 )
 from .._style import MICROMETRE, case_style
 from .before_loading import Check, checks_before_loading
-from .case_parts import parts_html, surface_figures_html
+from .case_parts import out_of_cut_lines, parts_html, surface_figures_html
 from .html import (
     LargeNumber,
     contents_html,
@@ -123,6 +123,8 @@ def write_report(
     notes = [line for line in lines if line.strip()]
     warnings = [line for line in notes if line.startswith(_WARNING)]
     notes = [line for line in notes if line not in warnings]
+    of_loaded = f"{chosen_case(dataset)}: "
+    warnings += [x for x in out_of_cut_lines(dataset) if x.startswith(of_loaded)]
     images = []
     for file in figures.values():
         if file.path is None:
