@@ -29,6 +29,7 @@ def _stock(file: pathlib.Path) -> object:
 
 READERS: dict[str, Callable[[pathlib.Path], object]] = {
     "pocket.ngc": io.read_program,
+    "parameters.ngc": io.read_program,
     "spline.nc": io.read_program,
     "square.src": io.read_program,
     "square.mod": io.read_program,

@@ -38,6 +38,8 @@ def last(expression, dialect="linuxcnc"):
         ("SQRT[9]+ABS[-1]", 4, 4),
         ("COS[60]+SIN[30]*TAN[45]", 1, 1),
         ("LN[EXP[2]]", 2, 2),
+        ("1 AND ABS[-1]", 1, 1),
+        ("9 MOD SQRT[16] OR ROUND[0]", 1, 1),
         ("##2+1", 1, 1),
     ],
 )
@@ -97,6 +99,12 @@ def test_macros_of_fanuc(text, points):
     assert ends(text) == points
 
 
+def test_parameter_without_a_value_is_noted_with_its_line():
+    notes = parse_gcode("G0 X1\no1 if [#50 EQ 0]\nG0 X2\no1 endif\nG0 X#60").notes
+    assert "line 2: #50: has no value in the program, and is 0" in notes
+    assert "line 5: #60: has no value in the program, and is 0" in notes
+
+
 def test_dialect_is_noted_and_may_be_chosen():
     text = "#1=[7 AND 3]\nG0 X#1"
     assert ends(text) == [(1, 0, 0)]
@@ -125,11 +133,14 @@ def test_dialect_is_noted_and_may_be_chosen():
         ("#1=[9999999*99999]\nG0 X#1", 2, "X#1", "beyond"),
         ("o1 if [1]\nG0 X1", 1, "1", "this IF has no end"),
         ("G0 X1\no1 endwhile", 2, "1", "no WHILE that it belongs to"),
-        ("G0 X1\no1 repeat [2] G0 X1", 2, "O1REPEAT[2]G0X1", "needed is one value"),
+        ("G0 X1\no1 repeat [2] G0 X1", 2, "G0X1", "does not belong"),
         ("o1 sub\no2 sub\no2 endsub\no1 endsub\nG0 X1", 2, "2", "routine begins where"),
         ("#1=1\nG0 X1\nGOTO 7", 3, "", "no line N7"),
         ("#3000=1\nIF [1 EQ 1] GOTO 3\nN3", 1, "#3000", "raises an alarm"),
         ("IF [#1001 EQ 1] GOTO 3\nN3 G0 X1", 1, "#1001", "not known here"),
+        ("G0 X1\nG41 D99999999999\nX2", 2, "D99999999999", "beyond"),
+        ("#1=1\nO[#1+ call\nG0 X1", 2, "O[#1+CALL", "no O-word"),
+        ("#1=1\nO[#1+2] call\nG0 X1", 2, "3", "is not in the program's file"),
         ("#1=1\nM98 X5\nG0 X1", 2, "M98X5", "has a P"),
     ],
 )

@@ -112,6 +112,7 @@ class MacroReader:
             faults = sorted([*out.faults, *self.code.faults])
             raise ProgramError(out.name, faults, ALLOWED_WORDS)
         machine = Machine(self.code, self.parameters.variables, out.name, out.faults)
+        self.parameters.machine = machine
         machine.at = start
         machine.run()
 
@@ -202,7 +203,9 @@ class MacroReader:
         elif word == "RETURN":
             code.give_back(line, value)
         elif word == "CALL":
-            code.plain(line, functools.partial(self._call, label, values, line))
+            computed = self._expression(label) if label[0] in "#[" else None
+            name = constant(label) if computed is None else computed
+            code.plain(line, functools.partial(self._call, name, values))
         elif word == "IF":
             code.begin_if(line, number, label)
         elif word in ("ELSEIF", "ELSE"):
@@ -223,12 +226,11 @@ class MacroReader:
             code.end(line, (word[3:].lower(),), label)
 
     def _call(
-        self, label: str, values: list[Expression], line: int, machine: Machine
+        self, name: Expression, values: list[Expression], machine: Machine
     ) -> None:
         """Call the routine of an O-word with #1, #2 and so on."""
-        self.parameters.line = line
-        if label[0] in "#[":
-            label = f"{machine.number(self._expression(label)):.0f}"
+        label = machine.value(name)
+        label = label if isinstance(label, str) else f"{machine.number(name):.0f}"
         own: dict[Name, Value] = {
             index: machine.value(value) for index, value in enumerate(values, 1)
         }
@@ -275,7 +277,7 @@ class MacroReader:
             return str(value % 10_000), value // 10_000
 
         def call(machine: Machine) -> None:
-            self.parameters.line, own = line, dict[Name, Value]()
+            own = dict[Name, Value]()
             for letter, word in words.items():
                 own[_ARGUMENTS[letter]] = machine.value(word.number)
             name = label(machine.value(routine.number))[0]
@@ -297,7 +299,7 @@ class MacroReader:
     def _run_row(self, machine: Machine, row: str = "") -> None:
         """Carry out a line of words, or the part of it that is given."""
         line, out, faults = machine.line, self.state.out, list[Fault]()
-        row, self.parameters.line = row or self.rows[line], line
+        row = row or self.rows[line]
         if "#" not in row and "[" not in row:
             words = split_words(row, line, faults)
         else:

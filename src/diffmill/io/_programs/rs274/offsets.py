@@ -84,8 +84,9 @@ def set_data(block: Block, state: State, faults: list[Fault]) -> None:
     """Apply G10 L2 and L20: the zero of a system."""
     kind, number = block.number("L"), block.number("P")
     text = block.texts["once"]
-    if number is not None and _set_tool_data(kind, round(number), block, state):
-        return
+    if number is not None and number % 1 == 0:
+        if _set_tool_data(kind, int(number), block, state):
+            return
     if kind not in (2, 20) or block.number("R") not in (None, 0):
         message = (
             "G10 is supported as L2 or L20 without a rotation R, as L1 with Z and R, "
@@ -217,8 +218,9 @@ def compensate_radius(block: Block, state: State, faults: list[Fault]) -> None:
             message = "the radius is compensated in the XY plane or the XZ plane."
         faults.append(Fault(block.line, text, message))
         return
-    number = state.radius_number
-    radius = None
+    number, radius = state.radius_number, None
+    if number is not None and math.isnan(number):
+        return
     if code in (411, 421) and number is not None:
         radius = number * state.scale / 2e3
     elif code in (410, 420):

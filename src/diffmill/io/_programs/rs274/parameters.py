@@ -11,6 +11,7 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from ..control import Machine
 from ..expressions import (
     Expression,
     ExpressionError,
@@ -23,8 +24,13 @@ from ..expressions import (
 )
 from .state import AXES, State
 
+# Without blanks, only a list tells where a word ends, as in 1ANDABS[#2].
+_WORDS = (
+    "EXISTS ROUND ATAN ASIN ACOS SQRT AND XOR MOD SIN COS TAN ABS EXP FIX FUP SQR POW "
+    "OR LN EQ NE GT GE LT LE"
+)
 _TOKEN = re.compile(
-    r"(?:(?P<number>\d+\.?\d*|\.\d+)|(?P<name>[A-Z]+|<[^<>]*>)"
+    rf"(?:(?P<number>\d+\.?\d*|\.\d+)|(?P<name>{'|'.join(_WORDS.split())}|<[^<>]*>)"
     r"|(?P<sign>\*\*|[-+*/\[\],#=]))"
 )
 # LinuxCNC, interp_internal.hh: nearer numbers are equal.
@@ -194,7 +200,7 @@ class Parameters:
     Attributes:
         dialect: "linuxcnc" or "fanuc".
         state: State between two blocks.
-        line: Line at work.
+        machine: The program's run; None before it begins.
         variables: The values.
     """
 
@@ -202,12 +208,18 @@ class Parameters:
     state: State
 
     def __post_init__(self) -> None:
-        self.line, own = 0, _OWN[self.dialect]
+        self.machine: Machine | None = None
+        own = _OWN[self.dialect]
         self.variables = Variables(
             self._missing,
             lambda name: name <= own if isinstance(name, int) else name[1] != "_",
         )
         self.variables.shared |= {"<_VALUE>": 0.0, "<_VALUE_RETURNED>": 0.0}
+
+    @property
+    def line(self) -> int:
+        """Line at work."""
+        return 0 if self.machine is None else self.machine.line
 
     @property
     def grammar(self) -> Grammar:
