@@ -189,3 +189,13 @@ def test_comments_keep_their_brackets_and_lose_control_characters():
     frame = program_frame(text, [2, 3])
     written = write_program(parse_gcode(text), ".ngc", frame=frame)
     assert written.splitlines()[0] == "(Pocket [2] ?[2J)"
+
+
+def test_frame_of_a_program_with_parameters():
+    text = "(head)\nT1 M6\nM8\n#1=5\no1 repeat [2]\nG0 X0 Y0 Z#1\nG1 Z-1 F9\n"
+    text += "G0 Z#1\no1 endrepeat\n(after)\nM9\nM30\n"
+    program = parse_gcode(text)
+    frame = program_frame(text, [move.line for move in program.moves])
+    assert frame.opening == ("T1 M6", "M8")
+    assert frame.closing == ("M5", "M9", "M30")
+    assert "head" in frame.comments

@@ -408,6 +408,7 @@ def _leave(axes: str, block: Block, state: State) -> None:
         state.position = x, y, 1e3 * out.highest() + _RETRACT
         end = metres(state.position)
         state.retract = Move(start, end, is_rapid=True, line=block.line)
+        state.is_beside = True
         state.unknown["Z"] = word
         return
     sentence = (
@@ -523,7 +524,7 @@ def _go(block: Block, state: State, end: Point, pace: Pace, axes: str) -> None:
     """Make a straight move; without a pace it is rapid."""
     start, state.position = state.position, end
     is_rapid = state.motion == 0 or block.g.get("once") in (280, 300)
-    state.add(
+    (state if state.is_beside else state.out).add(
         Move(
             metres(start),
             metres(end),

@@ -238,6 +238,7 @@ def compensate_radius(block: Block, state: State, faults: list[Fault]) -> None:
     sentence = "the path beside the programmed one is that of LinuxCNC; other controls "
     sentence += "enter, leave and go round corners in their own way"
     state.out.note(f"G{code / 10:g}", sentence, block.line)
+    state.is_beside = True
     state.compensation = CutterCompensation(state.out, side, abs(radius), state.plane)
 
 
@@ -289,10 +290,12 @@ def set_turns(block: Block, state: State, faults: list[Fault]) -> None:
             state.out.note(text, "is carried out about its X and Y", block.line)
         else:
             faults.append(Fault(block.line, text, message))
+    state.is_turned = state.is_polar or bool(state.turns)
     if "polar coordinates" in codes:
         if not state.is_polar and codes["polar coordinates"] == 150:
             state.out.note("G15", "ends what is off here anyway", block.line)
         state.is_polar = codes["polar coordinates"] == 160
+        state.is_turned = state.is_polar or bool(state.turns)
         if not state.is_polar:
             return
         if state.plane != 2 or state.is_incremental:

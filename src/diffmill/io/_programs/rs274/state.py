@@ -121,6 +121,7 @@ class State:
     unknown: dict[str, str] = field(default_factory=dict)
     unknown_exits: dict[int | None, Fault] = field(default_factory=dict)
     is_polar: bool = False
+    is_turned: bool = False
     turns: dict[str, Turn] = field(default_factory=dict)
     shift: Point | None = None
     length: float | None = 0.0
@@ -130,6 +131,8 @@ class State:
     compensation: CutterCompensation | None = None
     departure: Point | None = None
     retract: Move | None = None
+    # True once a move may be another one than programmed.
+    is_beside: bool = False
 
     def add(self, move: Move, axes: str) -> None:
         """Add a programmed move."""
@@ -142,11 +145,6 @@ class State:
                 self.out.faults.append(Fault(move.line, "", message))
             move, self.departure = move._replace(start=self.departure), None
         (self.compensation or self.out).add(move, axes)
-
-    @property
-    def is_turned(self) -> bool:
-        """True if words of places are polar, or turned, scaled or mirrored."""
-        return self.is_polar or bool(self.turns)
 
     @property
     def arc_tolerance(self) -> ArcTolerance:
