@@ -29,10 +29,14 @@ RIGHT = {"fro", "statics", "collet", "numer"}
 RIGHT |= {"slin", "anout", "imagin", "spindel", "intervall"}
 # What the examples of the documents read: a small table for each file that they name.
 TABLES = {
-    "slot1.txt": "t_s,Fx_N,Fy_N,Fz_N\n" + "".join(
-        f"{k * 1e-4:.4f},{k % 7},{k % 5},{k % 3}\n" for k in range(400)
+    **dict.fromkeys(
+        ("slot1.txt", "slot2.txt", "slot3.txt"),
+        "t_s,Fx_N,Fy_N,Fz_N\n" + "".join(
+            f"{k * 1e-4:.4f},{k % 7},{k % 5},{k % 3}\n" for k in range(400)
+        ),
     ),
     "tracker.csv": "time [s],x [mm],y [mm],z [mm]\n0.1,0,1,-0.8\n0.2,1,1,-0.8\n",
+    "probe.csv": "x_mm,y_mm,z_mm,nx,ny,nz\n1,9,-0.5,0,-1,0\n2,1,-0.8,0,0,1\n",
     "means.csv": "fz_mm,Fx_N,Fy_N,Fz_N\n0.05,10,20,1\n0.1,15,30,2\n0.15,20,40,3\n",
     "loads.csv": ",".join(
         [*(f"axis_{k}_deg" for k in range(1, 7)), "Fx_N,Fy_N,Fz_N,dx_mm,dy_mm,dz_mm\n"]
@@ -46,7 +50,7 @@ TABLES = {
     "run.csv": "time_s,dx_um,dy_um,dz_um\n"
     + "".join(f"{k * 0.01:.2f},{k},{k % 3},{k % 5}\n" for k in range(20)),
     **dict.fromkeys(
-        ("tip_x.csv", "tip_y.csv"),
+        ("tip_x.csv", "tip_y.csv", "tip_z.csv"),
         "frequency_Hz,real,imag\n" + "".join(
             f"{10 * k},{k % 5},{-k % 7}\n" for k in range(1, 60)
         ),

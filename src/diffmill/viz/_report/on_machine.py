@@ -60,8 +60,9 @@ def machine_lines(dataset: "xarray.Dataset", job: Job | None) -> list[str]:
         )
     if any(suffix in _ROBOT_FILES for suffix in job.output.suffixes):
         lines.append(
-            "The robot's file has the motion alone: base, tool, approach and spindle "
-            "are set on the controller, as the comment at its head lists."
+            "The comment at the head of the robot's file says what it states beside the "
+            "motion; base, tool, approach and spindle that it does not state are set on "
+            "the controller."
         )
     elif job.robot is not None:
         lines.append(
