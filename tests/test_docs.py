@@ -26,7 +26,7 @@ GLOSSARY = ROOT / "docs" / "glossary.md"
 # Right, but near to a word that is often meant: to and fro, statics, a collet, a name,
 # and words of robot languages and of other tongues that are read.
 RIGHT = {"fro", "statics", "collet", "numer"}
-RIGHT |= {"slin", "anout", "imagin", "spindel", "intervall"}
+RIGHT |= {"slin", "anout", "imagin", "spindel", "intervall", "ser"}
 # What the examples of the documents read: a small table for each file that they name.
 TABLES = {
     **dict.fromkeys(
