@@ -60,9 +60,9 @@ def machine_lines(dataset: "xarray.Dataset", job: Job | None) -> list[str]:
         )
     if any(suffix in _ROBOT_FILES for suffix in job.output.suffixes):
         lines.append(
-            "The comment at the head of the robot's file says what it states beside the "
-            "motion; base, tool, approach and spindle that it does not state are set on "
-            "the controller."
+            "The comment at the head of the robot's file says what it states beside "
+            "the motion; what it does not of base, tool, approach and spindle is set "
+            "on the controller."
         )
     elif job.robot is not None:
         lines.append(
