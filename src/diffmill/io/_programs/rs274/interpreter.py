@@ -207,7 +207,8 @@ def _execute(block: Block, state: State, faults: list[Fault]) -> None:
         state.position = (math.nan, math.nan, math.nan)
     for word in block.rotary:
         state.out.note(word.text, "the axis does not turn", block.line)
-    set_feed(block, state, faults)
+    if "F" in block.values or "feed mode" in codes:
+        set_feed(block, state, faults)
     if "D" in block.values:
         # Other controls keep it for the next G41 or G42.
         state.radius_number = block.number("D")
