@@ -74,7 +74,7 @@ def test_feed_writes_numbers_a_figure_and_tuned_paths(folder, asked, capsys):
     path = io.read_path_csv(out / "tuned_0.3.csv")
     assert float(path.time[-1]) == pytest.approx(seconds, abs=4e-3)
     program = (out / "tuned_0.3.ngc").read_text()
-    assert "(weight of time: 0.3)" in program and "G93" in program
+    assert "tuned for a weight of the time of 0.3" in program and "G93" in program
     assert program.count("\nG1 ") == path.step_count - 1
     assert main([*command, "--quiet"]) == 2
     assert "--force" in capsys.readouterr().err
@@ -205,3 +205,33 @@ def test_feed_of_a_job(folder, capsys):
     with xarray.open_dataset(folder / "job-feed" / "result.nc") as found:
         assert found["uncorrected"][0] < found["uncorrected"][1]
         assert found["tuned_rms"][1] < found["tuned_rms"][0]
+
+
+def test_the_fastest_feed_within_a_tolerance_is_written(folder, monkeypatch, capsys):
+    asked = {}
+
+    def fastest(job, tolerance, *, max_force, corrects, on_progress):
+        asked.update(tolerance=tolerance, max_force=max_force, corrects=corrects)
+        on_progress("override 1", 0.0)
+        tried = (
+            correction.TriedFeed(1.0, 5.0, 2e-5, 90.0, 0.3, ""),
+            correction.TriedFeed(1.5, 4.0, 7e-5, 99.0, 0.5, "tolerance"),
+        )
+        path = retime(job.path, 1.0)
+        return correction.FastestFeed(tried, tried[0], "tolerance", path)
+
+    monkeypatch.setattr(correction, "fastest_feed", fastest)
+    command = ["feed", "job.toml", "--tolerance", "50 um", "--max-force", "100 N"]
+    assert main(command) == 0
+    assert asked == {"tolerance": 5e-5, "max_force": 100.0, "corrects": False}
+    said, out = capsys.readouterr().out, folder / "job-feed"
+    assert "fastest: override 1.000; what is next breaks: tolerance" in said
+    assert "beyond the limit: tolerance" in said
+    assert (out / "summary.txt").read_text() in said
+    assert "the fastest feed by diffmill" in (out / "fastest.ngc").read_text()
+    with xarray.open_dataset(out / "result.nc", engine="h5netcdf") as found:
+        np.testing.assert_allclose(found["override"], [1.0, 1.5])
+        assert found["broken"].values.tolist() == ["", "tolerance"]
+    # What is no length is refused before anything runs.
+    assert main(["feed", "job.toml", "--tolerance", "50 N"]) == 2
+    assert "50 N" in capsys.readouterr().err

@@ -926,6 +926,7 @@ LEFT_OUT = {
         "correction.correct",
         "correction.Correction.*",
         "correction.feed_tradeoff",
+        "correction.fastest_feed",
         "correction.place_workpiece",
         "correction.SegmentRows.*",
         "correction.tune_feed",

@@ -23,7 +23,8 @@ from ._session.progress import Progress
 
 if TYPE_CHECKING:
     from .._job import Job
-    from ..correction import FeedTradeoff, TunedFeed
+    from ..correction import FastestFeed, FeedTradeoff, TunedFeed
+    from ..toolpath import Path
 
 # xarray is imported when there is something to write.
 Dataset: TypeAlias = Any
@@ -38,11 +39,16 @@ class FeedRequest(NamedTuple):
         overrides: Factors of the feed of the whole program.
         weights: Weights of the time, for overrides along the path; may be empty.
         corrects: True to correct the program at each of the factors too.
+        tolerance: Largest contour error, with its unit, for the fastest feed that keeps
+            it; None for the table of the factors.
+        max_force: Largest force of that feed, with its unit, or None.
     """
 
     overrides: tuple[float, ...]
     weights: tuple[float, ...]
     corrects: bool
+    tolerance: str | None = None
+    max_force: str | None = None
 
 
 def run_feed(
@@ -80,7 +86,79 @@ def run_feed(
     with locked_folder(folder) as unlocked:
         for note in (*job.notes, *filter(None, [unlocked])):
             progress.write(f"note: {note}")
+        if request.tolerance is not None:
+            return _fastest(job, request, folder, progress, force=force)
         return _tune(job, request, folder, progress, force=force)
+
+
+def _fastest(
+    job: "Job",
+    request: FeedRequest,
+    folder: pathlib.Path,
+    progress: Progress,
+    *,
+    force: bool,
+) -> int:
+    """Find the fastest feed within a tolerance, and write it; return the exit code."""
+    from ..correction import fastest_feed
+    from ..units import FORCE, LENGTH, quantity
+
+    with bad_input():
+        tolerance = quantity(request.tolerance, LENGTH)
+        largest = np.inf
+        if request.max_force is not None:
+            largest = quantity(request.max_force, FORCE)
+    with progress, bad_correction(job.name, "that the feed could change"):
+        found = fastest_feed(
+            job,
+            tolerance,
+            max_force=largest,
+            corrects=request.corrects,
+            on_progress=progress.update,
+        )
+    lines = _fastest_lines(job, found)
+    progress.answer("\n".join(lines))
+    files = {"summary.txt": "\n".join(lines) + "\n"}
+    if found.path is not None:
+        files |= _path_files("fastest", job, found.path, "the fastest feed")
+    folder = ResultsFolder.of(folder).still_free(force=force)
+    from ..io import write_results
+
+    write_results(folder, with_job(found.to_dataset(), job), files=files, force=force)
+    progress.write(f"results: {folder}")
+    return 0
+
+
+def _fastest_lines(job: "Job", found: "FastestFeed") -> list[str]:
+    """Table of the feeds that were tried, and the best of them."""
+    lines = [
+        f"{job.name}: largest contour error [um], force [N] and joint speed [%]",
+        f"{'override':>10}{'time [s]':>10}{'error':>10}{'force':>10}{'speed':>8}",
+    ]
+    for one in sorted(found.tried, key=lambda one: one.override):
+        mark = f"  beyond the limit: {one.broken}" if one.broken else ""
+        lines.append(
+            f"{one.override:10.3f}{one.cycle_time:10.2f}{1e6 * one.error:10.1f}"
+            f"{one.force:10.0f}{100 * one.joint_speed:8.0f}{mark}"
+        )
+    if found.best is None:
+        return [*lines, "no feed that was tried keeps the limits"]
+    why = f"; what is next breaks: {found.limited_by}" if found.limited_by else ""
+    return [*lines, f"fastest: override {found.best.override:.3f}{why}"]
+
+
+def _path_files(name: str, job: "Job", path: "Path", what: str) -> dict[str, str]:
+    """Path as CSV, and of a tool that stands upright as a program."""
+    from ..io import write_gcode, write_path_csv
+
+    files = {f"{name}.csv": write_path_csv(path)}
+    if path.is_upright:
+        files[f"{name}.ngc"] = write_gcode(
+            path,
+            header=[f"{job.name}, {what} by diffmill"],
+            spindle_speed=float(job.spindle_speed),
+        )
+    return files
 
 
 def _tune(
@@ -193,7 +271,7 @@ def _write(
     force: bool,
 ) -> int:
     """Write the numbers and tuned paths, then the figure; return the exit code."""
-    from ..io import write_gcode, write_path_csv, write_results
+    from ..io import write_results
     from ..viz import plot_feed, save_figure
 
     even = tradeoff.to_dataset()
@@ -204,17 +282,8 @@ def _write(
         names = {name: f"tuned_{name}" for name in along.data_vars}
         dataset = even.merge(along.rename(names))
         for point, path in zip(tuned.points[1:], tuned.paths[1:], strict=True):
-            name = f"tuned_{point.weight:g}"
-            files[f"{name}.csv"] = write_path_csv(path)
-            if path.is_upright:
-                header = [
-                    f"{job.name}, feed tuned by diffmill",
-                    f"weight of time: {point.weight:g}",
-                ]
-                speed = float(job.spindle_speed)
-                files[f"{name}.ngc"] = write_gcode(
-                    path, header=header, spindle_speed=speed
-                )
+            what = f"feed tuned for a weight of the time of {point.weight:g}"
+            files |= _path_files(f"tuned_{point.weight:g}", job, path, what)
     write_results(folder, with_job(dataset, job), files=files, force=force)
     attempts = Attempts()
 

@@ -185,6 +185,17 @@ def feed(
     correct: Annotated[
         bool, tyro.conf.arg(help="Also correct the program at every override.")
     ] = False,
+    tolerance: Annotated[
+        str | None,
+        tyro.conf.arg(
+            help='Find the fastest feed within this contour error, such as "0.1 mm", '
+            "and the drives."
+        ),
+    ] = None,
+    max_force: Annotated[
+        str | None,
+        tyro.conf.arg(help='With --tolerance: largest force, such as "300 N".'),
+    ] = None,
     out: _Out = None,
     force: _Force = False,
     shown: _Shown = _Display(),
@@ -196,7 +207,7 @@ def feed(
 
     return run_feed(
         job,
-        FeedRequest(overrides, weights, correct),
+        FeedRequest(overrides, weights, correct, tolerance, max_force),
         out,
         force=force,
         progress=shown.progress(),

@@ -31,6 +31,11 @@ from ._core.problem import (
 from ._core.row_weights import (
     row_weights as row_weights,
 )
+from ._feed.fastest_feed import (
+    FastestFeed as FastestFeed,
+    TriedFeed as TriedFeed,
+    fastest_feed as fastest_feed,
+)
 from ._feed.problem import (
     FeedProblem as FeedProblem,
 )

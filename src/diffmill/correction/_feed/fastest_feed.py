@@ -1,0 +1,193 @@
+"""The largest feed of a whole program within a tolerance and limits of the drives."""
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from ..._job import Job
+from ..._result import SimulationFailed
+from ...sim import JobKinematics, simulate
+from ...toolpath import Path, PathFeed, retime
+from .._job.correct import correct
+from .._job.correction_problem import NEVER_CUTS, NothingToCorrect
+from .trade_off_curve import OnShare
+
+if TYPE_CHECKING:
+    import xarray
+
+# Share within which the override is found, and by which one is raised until it fails.
+_SHARE, _RAISE = 0.02, 1.5
+
+
+class TriedFeed(NamedTuple):
+    """An override that was tried.
+
+    Attributes:
+        override: Factor of the feed of the whole program.
+        cycle_time: Time of the program [s].
+        error: Largest contour error where the tool cuts [m].
+        force: Largest force, as the mean of a tooth period [N].
+        joint_speed: Largest speed of a joint over what it can; 0 without a limit.
+        broken: Limit that it breaks: "tolerance", "force" or "joint speed"; empty for
+            none, and "run" where the simulation fails.
+    """
+
+    override: float
+    cycle_time: float
+    error: float
+    force: float
+    joint_speed: float
+    broken: str
+
+
+class FastestFeed(eqx.Module):
+    """The largest feed that keeps all limits.
+
+    Attributes:
+        tried: All overrides that were tried, in this order.
+        best: The largest one that breaks nothing; None if none does.
+        limited_by: What the next larger one breaks; empty if the largest that was
+            allowed breaks nothing.
+        path: The path with the best override; None without one.
+    """
+
+    tried: tuple[TriedFeed, ...]
+    best: TriedFeed | None
+    limited_by: str
+    path: Path | None
+
+    def to_dataset(self) -> "xarray.Dataset":
+        """Overrides that were tried on the dimension `trial`."""
+        import xarray
+
+        about = {
+            "override": "1",
+            "cycle_time": "s",
+            "error": "m",
+            "force": "N",
+            "joint_speed": "1",
+        }
+        columns = {
+            name: ("trial", np.array([getattr(x, name) for x in self.tried]))
+            for name in about
+        }
+        return xarray.Dataset(
+            {
+                name: (*column, {"units": about[name]})
+                for name, column in columns.items()
+            },
+            coords={"broken": ("trial", [one.broken for one in self.tried])},
+        )
+
+
+def fastest_feed(
+    job: Job,
+    tolerance: float,
+    *,
+    max_force: float = np.inf,
+    corrects: bool = False,
+    lowest: float = 0.2,
+    highest: float = 3.0,
+    on_progress: OnShare | None = None,
+) -> FastestFeed:
+    """Find the largest override of a program that keeps tolerance, force and drives.
+
+    The error grows with the feed where the tool cuts; the override is found within 2 %
+    by bisection, each trial a simulation, or a correction.
+
+    Args:
+        job: The job; its machine must not be rigid.
+        tolerance: Largest contour error that is allowed [m].
+        max_force: Largest force, as the mean of a tooth period [N].
+        corrects: Whether the error is that of the corrected program.
+        lowest: Smallest override that is tried.
+        highest: Largest one.
+        on_progress: Called with a message and the share done.
+
+    Returns:
+        The override, and all that were tried.
+
+    Raises:
+        NothingToCorrect: The program never cuts; a `ValueError`.
+        InfeasibleLimit, UnsuitableSettings: As `correct`, for one of the feeds.
+        ValueError: The machine is rigid, or a bound is not positive.
+
+    Differentiability: runs on the host, not traceable.
+    """
+    if job.is_rigid:
+        raise ValueError("Argument `job` must have a soft machine, but it is rigid.")
+    if not (0 < lowest <= highest and tolerance > 0 and max_force > 0):
+        raise ValueError(
+            "Arguments `tolerance`, `max_force` and `lowest` must be positive and "
+            f"`highest` not below `lowest`, but are {tolerance:g}, {max_force:g}, "
+            f"{lowest:g} and {highest:g}."
+        )
+    report = on_progress or (lambda message, share: None)
+    search = _Search(job, tolerance, max_force, corrects)
+    good, bad, override = 0.0, np.inf, min(max(1.0, lowest), highest)
+    tried: list[TriedFeed] = []
+    while True:
+        report(f"override {override:.3g}", min(len(tried) / 12, 1.0))
+        tried.append(search.tried(override))
+        if tried[-1].broken:
+            bad = override
+        else:
+            good = override
+        is_found = np.isfinite(bad) and bad - good <= _SHARE * bad
+        if good == highest or bad == lowest or is_found:
+            break
+        if not np.isfinite(bad):
+            override = min(good * _RAISE, highest)
+        else:
+            override = (bad + good) / 2 if good else max(bad / _RAISE, lowest)
+    kept = [one for one in tried if not one.broken]
+    best = max(kept, key=lambda one: one.override, default=None)
+    broken = [one for one in tried if one.broken]
+    first = min(broken, key=lambda one: one.override, default=None)
+    path = None if best is None else retime(job.path, best.override)
+    return FastestFeed(tuple(tried), best, "" if first is None else first.broken, path)
+
+
+class _Search(NamedTuple):
+    """Limits that a feed has to keep."""
+
+    job: Job
+    tolerance: float
+    max_force: float
+    corrects: bool
+
+    def tried(self, override: float) -> TriedFeed:
+        """What an override gives, and which limit it breaks."""
+        path = retime(self.job.path, override)
+        time = PathFeed.of_path(self.job.path).cycle_time(override)
+        job = eqx.tree_at(lambda j: j.path, self.job, path)
+        speed = _joint_speed(job)
+        try:
+            run = correct(job).after if self.corrects else simulate(job)
+            run.raise_unless_successful(job)
+        except SimulationFailed:
+            return TriedFeed(override, time, np.nan, np.nan, speed, "run")
+        cuts = np.asarray(run.is_cutting)
+        if not cuts.any():
+            raise NothingToCorrect(NEVER_CUTS)
+        error = float(run.contour.max)
+        force = float(np.linalg.norm(np.asarray(run.force)[cuts], axis=1).max())
+        limits = {
+            "tolerance": error > self.tolerance,
+            "force": force > self.max_force,
+            "joint speed": speed > 1,
+        }
+        broken = next((name for name, is_broken in limits.items() if is_broken), "")
+        return TriedFeed(override, time, error, force, speed, broken)
+
+
+def _joint_speed(job: Job) -> float:
+    """Largest speed of a joint over what it can, of the path as it is; 0 without."""
+    if job.robot is None or job.robot.joint_speed is None:
+        return 0.0
+    motors, _ = JobKinematics(job).motors(jnp.asarray(job.path.positions))
+    rate = np.abs(np.diff(np.asarray(motors), axis=0)) / float(job.tooth_period)
+    share = rate / np.asarray(job.robot.joint_speed)
+    return float(np.max(share, initial=0.0, where=np.isfinite(share)))

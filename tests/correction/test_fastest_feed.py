@@ -1,0 +1,58 @@
+"""The largest feed within a tolerance, a force and the speeds of joints."""
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from slides_job import write_slides_job
+
+import diffmill as dm
+from diffmill.correction import fastest_feed
+
+
+@pytest.fixture(scope="module")
+def job(tmp_path_factory):
+    return dm.load_job(
+        write_slides_job(tmp_path_factory.mktemp("job"))
+    ).with_precision()
+
+
+@pytest.mark.slow
+def test_the_next_faster_feed_breaks_the_limit_that_is_named(job):
+    run = dm.simulate(job)
+    error = run.contour.max
+    found = fastest_feed(job, 1.3 * error)
+    assert found.best is not None and found.path is not None
+    assert found.best.override > 1 and found.limited_by == "tolerance"
+    beyond = min(x.override for x in found.tried if x.broken)
+    assert beyond < 1.021 * found.best.override
+    # What is written is what was tried.
+    again = dm.simulate(dataclasses.replace(job, path=found.path))
+    np.testing.assert_allclose(again.contour.max, found.best.error, rtol=1e-6)
+    # Half of what the program has: a slower one, if any.
+    slow = fastest_feed(job, 0.7 * error)
+    assert slow.best is None or slow.best.override < 1
+
+
+@pytest.mark.slow
+def test_speeds_of_joints_and_forces_are_limits(job):
+    assert job.robot is not None
+    feed = 0.05
+    speeds = np.array([1.2 * feed, 1.2 * feed, 10.0])
+    robot = dataclasses.replace(job.robot, joint_speed=jnp.asarray(speeds))
+    slow = dataclasses.replace(job, robot=robot)
+    found = fastest_feed(slow, 1.0)
+    assert found.limited_by == "joint speed" and found.best is not None
+    assert 1.1 < found.best.override < 1.3
+    force = float(np.linalg.norm(np.asarray(dm.simulate(job).force), axis=1).max())
+    held = fastest_feed(job, 1.0, max_force=1.05 * force)
+    assert held.limited_by == "force"
+    assert held.best is not None and held.best.force <= 1.05 * force
+
+
+def test_what_has_no_fastest_feed_is_refused(job):
+    with pytest.raises(ValueError, match="must have a soft machine"):
+        fastest_feed(dataclasses.replace(job, robot=None), 1e-5)
+    with pytest.raises(ValueError, match="must be positive"):
+        fastest_feed(job, 0.0)
