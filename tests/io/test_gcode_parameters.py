@@ -141,6 +141,7 @@ def test_dialect_is_noted_and_may_be_chosen():
         ("G0 X1\nG41 D99999999999\nX2", 2, "D99999999999", "beyond"),
         ("#1=1\nO[#1+ call\nG0 X1", 2, "O[#1+CALL", "no O-word"),
         ("#1=1\nO[#1+2] call\nG0 X1", 2, "3", "is not in the program's file"),
+        ("G0 X1\no[1E4] call", 2, "E4]", "needed is a ]"),
         ("#1=1\nM98 X5\nG0 X1", 2, "M98X5", "has a P"),
     ],
 )

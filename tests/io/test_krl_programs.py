@@ -112,6 +112,13 @@ def test_what_does_not_move_is_noted_or_passed_over(tmp_path, faults):
         ("LIN XP[4]", 4, "no position"),
         ("DECL REAL M[5000,5000]", 4, "more than 2000000 values"),
         ("LIN Q", 4, "no position"),
+        ("LOOP\nM[1]=M\nENDLOOP", 5, "keeps more|40 deep"),
+        ("I=F(1)", 7, "calls are in each other more than 100 deep"),
+        ("GOTO NOWHERE", 4, "no label NOWHERE"),
+        ("PART(1)", 4, "takes 0 value"),
+        ("I=F(1,2)", 4, "takes 1 value"),
+        ("FOR " + "= " * 20_000, 4, "10000 are allowed"),
+        ("GOTO A\nFOR I=1 TO 3\nA:\nLIN_REL {X 1}\nENDFOR", 8, "jump into a loop"),
     ],
 )
 def test_what_has_no_end_or_no_value_ends_with_its_line(
@@ -120,9 +127,20 @@ def test_what_has_no_end_or_no_value_ends_with_its_line(
     # Fewer, as checks of types at every call, as tests have them, take much time.
     monkeypatch.setattr("diffmill.io._programs.control.MOST_REPEATED", 2000)
     with pytest.raises(ProgramError, match=part) as caught:
-        read(krl(rows), ".src", "DECL INT I\nDECL REAL R\nDECL POS P,Q\n")
+        more = "DEFFCT INT F(X:IN)\nRETURN F(X)\nENDFCT" if "F(" in rows else ""
+        data = "DECL INT I\nDECL REAL R\nDECL POS P,Q\nDECL REAL M[3]\n"
+        read(krl(rows, more=more), ".src", data)
     assert line in (None, caught.value.faults[0].line)
     assert len(caught.value.faults) == 1
+
+
+def test_a_function_gives_parameters_back_too(read):
+    rows = ["INT I,J", "DECL INT N[2]", "I=1", "N[1]=3", "N[2]=4", "J=F(I)+10*I"]
+    rows += ["LIN_REL {X 1}", "SUM(N[])", "P={X 0}", "P.X=J", "LIN P", "P.X=N[1]"]
+    more = "DEFFCT INT F(K:OUT)\nINT K\nK=5\nRETURN K+1\nENDFCT\n"
+    more += "DEF SUM(A[]:OUT)\nINT A[]\nA[1]=A[1]+A[2]\nEND"
+    program = read(krl(*rows, "LIN P", more=more), ".src", "DECL POS P\n")
+    assert [x for x, _, _ in places(program)][-2:] == [56, 7]
 
 
 def test_a_job_gives_the_speed_that_a_program_leaves_to_the_controller(tmp_path):

@@ -128,6 +128,9 @@ def test_modules_beside_it_are_used(tmp_path):
         (to("q2"), "does not state its value"),
         (f"q:={TARGET.format(1, 2, '3,4')};", "3 components, not 4"),
         (AT + "ENDPROC\nENDMODULE\nMODULE b\nCONST num w:=v;\nPROC b()", "its value"),
+        ("WHILE TRUE DO\ni:=[i];\nENDWHILE", "in each other more than 40 deep"),
+        ("main 5;", "takes 0 value"),
+        ("FOR i FROM " + "TO " * 9000, "10000 are allowed"),
         ("cut_it 5;", 'pass_over = \\["cut_it"\\]'),
     ],
 )
@@ -136,3 +139,17 @@ def test_what_has_no_end_or_no_value_is_refused(read, rows, part, monkeypatch):
     with pytest.raises(ProgramError, match=part) as caught:
         read(rapid(rows), ".mod")
     assert len(caught.value.faults) == 1
+
+
+def test_a_routine_leaves_the_values_of_its_caller_as_they_are(read):
+    rows = "VAR robtarget r:=p;\nr.trans.x:=50;\nmove_it p;\n" + to("p") + to("r")
+    more = "PROC move_it(robtarget at)\nat.trans.x:=90;\n" + to("at") + "ENDPROC"
+    assert [x for x, _, _ in places(read(rapid(rows, more), ".mod"))] == [90, 1, 50]
+
+
+def test_a_function_gives_parameters_back_and_a_counter_hides_a_variable(read):
+    rows = "i:=7;\nFOR i FROM 1 TO 2 DO\n" + AT + "ENDFOR\n" + AT
+    rows += "i:=five(i)+10*i;\nIncr i;\nAdd i,2*3;\n" + AT + "Decr i;\nClear i;\n" + AT
+    more = "FUNC num five(INOUT num k)\nk:=5;\nRETURN k+1;\nENDFUNC\n"
+    xs = [x for x, _, _ in places(read(rapid(rows, more), ".mod"))]
+    assert xs == [2, 3, 8, 64, 1]

@@ -165,8 +165,10 @@ class Code:
             return left * _number(by) >= 0
 
         def turn(machine: "Machine") -> None:
-            value = machine.variables.calls[-1][bounds]
-            by = value[1] if isinstance(value, list) else 0
+            value = machine.variables.calls[-1].get(bounds)
+            if not isinstance(value, list):
+                machine.refuse("", "a jump into a loop does not begin it.")
+            by = value[1]
             machine.put(place, machine.number(place.get) + _number(by))
 
         self.plain(line, begin)
@@ -211,15 +213,22 @@ class Code:
         """Give the next step a label, which holds inside its routine."""
         self._labels.setdefault((self._routine(), name), []).append(len(self.steps))
 
-    def jump(self, line: int, label: Expression) -> None:
-        """Append a jump to the next step of a label, or its first one."""
+    def jump(self, line: int, label: Expression, word: str = "") -> None:
+        """Append a jump to the next step of a label, or its first one.
+
+        Args:
+            line: Its line.
+            label: The label.
+            word: How it is written, for messages; "" for the number of a line.
+        """
         routine = self._routine()
 
         def go(machine: "Machine") -> None:
             number = machine.number(label)
             places = self._labels.get((routine, int(number)), [])
             if not places or number % 1:
-                machine.refuse("", f"there is no line N{number:g} to go to.")
+                found = f"label {word}" if word else f"line N{number:g}"
+                machine.refuse("", f"there is no {found} to go to.")
             machine.at = next((at for at in places if at >= machine.at), places[0])
 
         self.plain(line, go)
@@ -407,11 +416,16 @@ class Machine:
                 self.refuse(error.word, str(error))
         self.at = self.code.routines[routine].start
 
-    def result_of(self, routine: str, own: dict[Name, Value]) -> Value:
-        """Value that a routine gives back, within an expression."""
+    def result_of(
+        self,
+        routine: str,
+        own: dict[Name, Value],
+        done: Callable[[dict[Name, Value]], None] | None = None,
+    ) -> Value:
+        """Value that a routine gives back, within an expression; see `call`."""
         back, line, depth = self.at, self.line, len(self._calls)
         self.result = None
-        self.call(routine, own)
+        self.call(routine, own, done)
         self._run(depth)
         if len(self._calls) > depth:
             self.refuse(routine, "the program ends inside of an expression.")

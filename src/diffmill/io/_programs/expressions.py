@@ -10,6 +10,7 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, TypeAlias
 
+from .faults import ProgramError
 from .limits import MOST_VALUES
 
 # A list is an array, counted from 1, a dictionary a structure; None has no value yet.
@@ -71,19 +72,38 @@ class Variables:
         values = own if name in own else self.shared
         if name not in values:
             values = own if self.is_own(name) else self.shared
-            self._count(value)
-        values[name] = value
+        self.put(values, name, value)
 
     def declare(self, name: Name, value: Value, *, is_shared: bool = False) -> None:
         """Give a name a value of the call at work, or of the whole program."""
-        self._count(value)
-        (self.shared if is_shared else self.calls[-1])[name] = value
+        self.put(self.shared if is_shared else self.calls[-1], name, value)
+
+    def put(self, holder: Any, key: Any, value: Value) -> None:
+        """Put a copy of a value in the place of another one, and count their parts."""
+        is_there = isinstance(holder, list) or key in holder
+        self._size += _count(value) - (_count(holder[key]) if is_there else 0)
+        if self._size > MOST_VALUES:
+            raise ExpressionError("", _TOO_MANY)
+        holder[key] = _copied(value)
+
+    def hide(self, name: Name) -> None:
+        """Hide a variable of the call at work behind a new one, which is 0."""
+        self.declare(f"hidden {name}", self.calls[-1].get(name))
+        self.declare(name, 0)
+
+    def show(self, name: Name) -> None:
+        """Show the variable again that `hide` has hidden."""
+        hidden = self.calls[-1].pop(f"hidden {name}", None)
+        if hidden is None:
+            self.calls[-1].pop(name, None)
+        else:
+            self.declare(name, hidden)
 
     def enter(self, own: dict[Name, Value]) -> None:
         """Begin a call with own values."""
-        for value in own.values():
-            self._count(value)
-        self.calls.append(own)
+        self.calls.append({})
+        for name, value in own.items():
+            self.put(self.calls[-1], name, value)
 
     def leave(self) -> dict[Name, Value]:
         """End a call; return its own values."""
@@ -91,19 +111,22 @@ class Variables:
         self._size -= sum(map(_count, own.values()))
         return own
 
-    def _count(self, value: Value) -> None:
-        self._size += _count(value)
-        if self._size > MOST_VALUES:
-            message = f"the program keeps more than {MOST_VALUES} values."
-            raise ExpressionError("", message)
+
+_TOO_MANY = f"the program keeps more than {MOST_VALUES} values."
 
 
-def _count(value: Value) -> int:
-    """Number of the values that a value has in it."""
+def _count(value: Value, depth: int = 0) -> int:
+    """Number of the values that a value has in it, both bounded."""
+    count = 1
     if isinstance(value, list | dict):
-        parts = value.values() if isinstance(value, dict) else value
-        return 1 + sum(map(_count, parts))
-    return 1
+        if depth > _DEEPEST_OPERAND:
+            message = f"values are in each other more than {_DEEPEST_OPERAND} deep."
+            raise ExpressionError("", message)
+        for part in value.values() if isinstance(value, dict) else value:
+            count += _count(part, depth + 1)
+            if count > MOST_VALUES:
+                raise ExpressionError("", _TOO_MANY)
+    return count
 
 
 class Variable(NamedTuple):
@@ -126,8 +149,8 @@ class Variable(NamedTuple):
         return value
 
     def set(self, variables: Variables, value: Value) -> None:
-        """Put a value; what is copied has no part in common with its source."""
-        value, name = _copied(value), self.name(variables)
+        """Put a copy of a value."""
+        name = self.name(variables)
         if not self.path:
             variables.set(name, value)
             return
@@ -136,7 +159,7 @@ class Variable(NamedTuple):
             inner, key = _part(holder, step, variables)
             holder = inner[key]
         inner, key = _part(holder, self.path[-1], variables)
-        inner[key] = value
+        variables.put(inner, key, value)
 
 
 def _part(
@@ -405,7 +428,8 @@ def evaluated(expression: Expression, variables: Variables) -> Value:
     except TypeError:
         message = "an operator or a function has no value for what it is given."
         raise ExpressionError("", message) from None
-    except ExpressionError:
+    except (ExpressionError, ProgramError):
+        # A function of the program has told what is wrong, and in which line.
         raise
     except ValueError:
         message = "a function has no value for its argument."

@@ -23,6 +23,8 @@ MOST_REPEATED = 250_000
 DEEPEST_CALLS = 100
 MOST_VALUES = 2_000_000
 MOST_DIGITS = 300
+# A controller's longest line has some hundred characters; comments may be longer.
+LONGEST_LINE = 10_000
 _LONG_NUMBER = re.compile(rf"\d{{{MOST_DIGITS + 1}}}")
 UNUSUAL_SPEED = Path.UNUSUAL_SPEED
 # Longer than any cutter rests [s].
@@ -36,6 +38,13 @@ def bounded_number(text: str) -> float:
     except ValueError:
         return math.nan
     return value if abs(value) <= LARGEST_NUMBER else math.nan
+
+
+def fault_of_length(text: str) -> str:
+    """Fault of a line that is too long, or nothing."""
+    if len(text) <= LONGEST_LINE:
+        return ""
+    return f"the line has {len(text)} characters; {LONGEST_LINE} are allowed."
 
 
 def fault_of_statement(text: str) -> str:

@@ -33,7 +33,12 @@ from ..geometry import (
     rotation_of_abc,
     tool_place,
 )
-from ..limits import LARGEST_NUMBER, bounded_number, fault_of_statement
+from ..limits import (
+    LARGEST_NUMBER,
+    bounded_number,
+    fault_of_length,
+    fault_of_statement,
+)
 from ..text import split_lines
 from .krl_frames import KrlFrames, is_known, numbered_base
 from .krl_values import KrlValues
@@ -84,7 +89,7 @@ _ROUTINE = re.compile(
     r"(?:GLOBAL\s+)?DEF(?:FCT\s+[A-Z]\w*(?:\[\d*\])?)?\s+([A-Z_]\w*)\s*\((.*)\)",
     re.IGNORECASE,
 )
-_FOR = re.compile(r"FOR\s+(.+?)=(.+?)\s+TO\s+(.+?)(?:\s+STEP\s+(.+))?", re.IGNORECASE)
+_FOR = re.compile(r"FOR\s+([^=]+)=(.+?)\s+TO\s+(.+?)(?:\s+STEP\s+(.+))?", re.IGNORECASE)
 _CONDITION = re.compile(
     r"(IF|WHILE|UNTIL|SWITCH|CASE|GOTO|RETURN)(?:\s+|(?=\())(.+?)(?:\s*\bTHEN)?",
     re.IGNORECASE,
@@ -197,7 +202,7 @@ def parse_krl(
     reader.feed = feed
     for number, row in enumerate(split_lines(data, name), 1):
         bare = _bare(row)
-        if message := fault_of_statement(bare):
+        if message := fault_of_length(bare) or fault_of_statement(bare):
             reader.refuse(number, bare, message)
         elif not _keep_data(bare, number, reader):
             _assign(bare, number, reader)
@@ -205,7 +210,10 @@ def parse_krl(
         raise ProgramError(pathlib.PurePath(name).stem + ".dat", reader.faults)
     rows = split_lines(text, name)
     for number, row in enumerate(rows, 1):
-        if bare := _bare(row):
+        bare = _bare(row)
+        if message := fault_of_length(bare):
+            reader.refuse(number, bare, message)
+        elif bare:
             _compile(bare, number, reader)
     reader.run(len(rows), None)
     frames = reader.base_and_tool
@@ -240,7 +248,9 @@ def _compile(row: str, line: int, reader: _Krl) -> None:
     if routine := _ROUTINE.fullmatch(row):
         if reader.routine:
             code.end_routine(line)
-        names = [part.split(":") for part in routine[2].upper().split(",") if part]
+        names = [
+            part.split(":") for part in routine[2].upper().split(",") if part.strip()
+        ]
         names = [[one.split("[")[0].strip() for one in part] for part in names]
         name = routine[1].upper()
         reader.returned[name] = tuple(one[0] for one in names if one[1:] != ["IN"])
@@ -288,7 +298,7 @@ def _compile(row: str, line: int, reader: _Krl) -> None:
     elif match and word == "GOTO":
         reader.let_matter()
         number = reader.label(match[2])
-        code.jump(line, lambda variables: number)
+        code.jump(line, lambda variables: number, match[2][:30])
     elif label := _LABEL.fullmatch(row):
         code.label(reader.label(label[1]))
     else:
@@ -402,7 +412,12 @@ def _call(match: re.Match[str], line: int, reader: _Krl) -> bool:
     routine = reader.code.routines.get(name)
     if routine is None:
         return reader.passes(name, line)
-    texts = [one for one in split_arguments(match[2] or "")]
+    # U(A[]) hands over a whole array.
+    given = split_arguments(match[2]) if match[2] else []
+    texts = [one.removesuffix("[]") for one in given]
+    if len(texts) > len(routine.parameters):
+        reader.refuse_count(match[0], line, len(routine.parameters))
+        return True
     own: dict[Name, Value] = dict.fromkeys(routine.parameters)
     back: dict[str, str] = {}
     for parameter, text in zip(routine.parameters, texts, strict=False):

@@ -12,6 +12,7 @@ from ..expressions import (
     ExpressionError,
     Name,
     Value,
+    Variable,
     Variables,
     split_arguments,
 )
@@ -20,6 +21,10 @@ from ..geometry import ToolAxis
 from ..limits import LARGEST_NUMBER
 from .reader import Reader
 from .texts import Texts
+
+
+def _too_many(count: int) -> str:
+    return f"the routine takes {count} value(s) at most."
 
 
 class Language(Reader):
@@ -58,10 +63,25 @@ class Language(Reader):
             if routine is None:
                 raise ExpressionError(name, "the program has no such function.")
             values = [argument(variables) for argument in arguments]
-            own: dict[Name, Value] = dict(zip(routine.parameters, values, strict=False))
-            return self.machine.result_of(name, own)
+            if len(values) > len(routine.parameters):
+                raise ExpressionError(name, _too_many(len(routine.parameters)))
+            own: dict[Name, Value] = dict.fromkeys(routine.parameters)
+            own |= zip(routine.parameters, values, strict=False)
+            return self.machine.result_of(name, own, done)
 
+        def done(values: dict[Name, Value]) -> None:
+            names = self.code.routines[name].parameters
+            for parameter, place in zip(names, places, strict=False):
+                if isinstance(place, Variable) and parameter in self.returned[name]:
+                    place.set(self.texts.variables, values[parameter])
+
+        # A variable alone is read by its own method.
+        places = [getattr(one, "__self__", None) for one in arguments]
         return value
+
+    def refuse_count(self, row: str, line: int, count: int) -> None:
+        """Refuse a call that has more values than its routine takes."""
+        self.refuse(line, row, _too_many(count))
 
     def number(self, text: str) -> float:
         """Value of a number or of an expression; NaN if it has none, or too large."""
@@ -122,7 +142,9 @@ class Language(Reader):
         except ExpressionError as error:
             self.refuse(line, error.word or row, str(error))
         if self.faults[count:] and self.faults[count] in self.faults[:count]:
+            # Another turn of a loop would tell nothing else.
             del self.faults[count:]
+            self.machine.stop()
 
     def rest(self, value: str, row: str, line: int) -> None:
         """Let the tool rest for so many seconds."""
@@ -145,7 +167,9 @@ class Language(Reader):
         """Refuse a statement, which may be a call of a routine of another file."""
         message = "is no plain motion and is not supported"
         if name is not None:
-            message += f'; [program] pass_over = ["{name}"] leaves it out if it moves '
+            message += (
+                f'; [program] pass_over = ["{name[:40]}"] leaves it out if it moves '
+            )
             message += "neither arm nor work"
         self.refuse(line, row, f"{message}.")
 

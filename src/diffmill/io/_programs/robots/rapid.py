@@ -34,7 +34,7 @@ from ..geometry import (
     tool_place,
     tool_rotation,
 )
-from ..limits import bounded_number, fault_of_statement
+from ..limits import bounded_number, fault_of_length, fault_of_statement
 from ..text import split_lines
 from .language import Language
 from .rapid_values import (
@@ -57,6 +57,12 @@ _MOVE = re.compile(
     re.IGNORECASE | re.DOTALL,
 )
 _ASSIGNED = re.compile(r"(\w+(?:\s*[{.][^:]*)?)\s*:=\s*(.*)", re.DOTALL)
+# Data may be long, other statements are as long as a line.
+_LONG = re.compile(
+    r"(?:(?:LOCAL|TASK)\s+)*(?:CONST|PERS|VAR)\b|\w+(?:\{[^{}]{,99}\})?\s*:=",
+    re.IGNORECASE,
+)
+_COUNTED = re.compile(r"(Incr|Decr|Clear|Add)\s+([^,]+)(?:,\s*(.+))?", re.IGNORECASE)
 _CALL = re.compile(r"([A-Z]\w*)\s*(.*)", re.IGNORECASE | re.DOTALL)
 _FOR = re.compile(
     r"FOR\s+(\w+)\s+FROM\s+(.+?)\s+TO\s+(.+?)(?:\s+STEP\s+(.+?))?\s+DO", re.IGNORECASE
@@ -69,6 +75,8 @@ _ROUTINE = re.compile(
     re.IGNORECASE | re.DOTALL,
 )
 _ENDS = {"ENDIF": "if", "ENDWHILE": "while", "ENDFOR": "for"}
+# What a statement without a sign assigns.
+_COUNTS = {"INCR": "{}+1", "DECR": "{}-1", "CLEAR": "0", "ADD": "{}+"}
 _SPEED = re.compile(r"v(\d+)", re.IGNORECASE)
 _OPTION = re.compile(r"\\(V|T)\s*:=\s*([^\\]*)", re.IGNORECASE)
 _OVERRIDE = re.compile(r"VelSet\s+(.*)", re.IGNORECASE | re.DOTALL)
@@ -113,6 +121,8 @@ class _Rapid(Language):
         self.use(texts, lambda row, line: _statement(row, line, self))
         # Types of variables by name.
         self.kinds: dict[str, str] = {}
+        # Counters of the loops that are open while the program is compiled.
+        self.counters: list[str] = []
         self.frame: str | None = None
         # The work object that motions name.
         self.work_object: str | None = None
@@ -250,7 +260,9 @@ def _compile(row: str, line: int, reader: _Rapid) -> None:
     """Append a statement to the code."""
     code, texts = reader.code, reader.texts
     word = re.match(r"\w*", row)[0].upper()  # pyright: ignore[reportOptionalSubscript]
-    if _MOVE.match(row):
+    if (message := fault_of_length(row)) and not _LONG.match(row):
+        reader.refuse(line, row, message)
+    elif _MOVE.match(row):
         reader.let_matter()
         reader.add(line, row)
     elif (
@@ -280,6 +292,9 @@ def _compile(row: str, line: int, reader: _Rapid) -> None:
         if word in ("ENDIF", "ENDWHILE"):
             del reader.branches[-1:]
         code.end(line, (_ENDS[word],))
+        if word == "ENDFOR" and reader.counters:
+            name = reader.counters.pop()
+            code.plain(line, lambda machine: machine.variables.show(name))
     elif word == "ENDTEST" and reader.choices:
         reader.end_choice(line)
     elif word == "DEFAULT" and reader.choices:
@@ -312,7 +327,7 @@ def _compile(row: str, line: int, reader: _Rapid) -> None:
         number = reader.label(row.removesuffix(":").split()[-1])
         reader.let_matter()
         if word == "GOTO":
-            code.jump(line, lambda variables: number)
+            code.jump(line, lambda variables: number, row.split()[-1][:30])
         else:
             code.label(number)
     elif not reader.routine and _DECLARED.fullmatch(row):
@@ -351,7 +366,9 @@ def _compile_loop(match: re.Match[str], line: int, reader: _Rapid) -> None:
         is_back = isinstance(a, int | float) and isinstance(b, int | float) and b < a
         return -1 if is_back else 1
 
-    reader.code.plain(line, lambda machine: machine.variables.declare(name, 0))
+    # The counter hides a variable of its name, up to the end of the loop.
+    reader.counters.append(name)
+    reader.code.plain(line, lambda machine: machine.variables.hide(name))
     reader.code.begin_for(line, texts.place(name), first, last, step or one)
 
 
@@ -365,6 +382,10 @@ def _statement(row: str, line: int, reader: _Rapid) -> None:
         _declare(match, line, reader)
     elif match := _ASSIGNED.fullmatch(row):
         _assign(match[1], match[2], line, reader)
+    elif match := _COUNTED.fullmatch(row):
+        place = match[2].strip()
+        value = f"{place}+({match[3]})" if match[3] else _COUNTS[match[1].upper()]
+        _assign(place, value.format(place), line, reader)
     elif match := _WAIT.fullmatch(row):
         reader.rest(match[1], row, line)
     elif match := _OVERRIDE.fullmatch(row):
@@ -394,6 +415,9 @@ def _call(match: re.Match[str], line: int, reader: _Rapid) -> bool:
         elif part and places:
             parameter, text = places[0], part
         else:
+            if part:
+                reader.refuse_count(match[0], line, len(routine.parameters))
+                return True
             continue
         places = [one for one in places if one != parameter]
         given = texts.value(text) if text.strip() else True

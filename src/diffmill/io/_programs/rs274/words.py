@@ -6,7 +6,7 @@ import string
 from typing import NamedTuple
 
 from ..faults import Fault
-from ..limits import LARGEST_NUMBER
+from ..limits import LARGEST_NUMBER, fault_of_length
 
 # No text is a number in two ways, so that a long line of words is read once.
 _NUMBER = r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)"
@@ -16,8 +16,6 @@ _PLAIN = re.compile(rf"(?:[A-NP-Z@^]{_NUMBER})*")
 _MARK = re.compile(r"[();]")
 _BRACKET = re.compile(r"[()]")
 _BLANKS = str.maketrans("", "", " \t\r")
-# A controller's longest line is 256 characters; comments may be longer.
-_LONGEST_LINE = 10_000
 # What a word that is not understood is shown as: up to the next plausible letter.
 _UNKNOWN = re.compile(r"[A-Z]?[^A-Z(]+|[A-Z]")
 _UPPER = str.maketrans(string.ascii_lowercase, string.ascii_uppercase)
@@ -64,8 +62,7 @@ def compact_line(text: str, line: int, faults: list[Fault]) -> str:
 
 
 def _compact(text: str, line: int, faults: list[Fault]) -> str:
-    if len(text) > _LONGEST_LINE:
-        message = f"the line has {len(text)} characters; {_LONGEST_LINE} are allowed."
+    if message := fault_of_length(text):
         faults.append(Fault(line, text[:30], message))
         return ""
     code = split_comments(text, line, faults)[0] if _MARK.search(text) else text
