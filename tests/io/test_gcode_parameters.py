@@ -142,6 +142,9 @@ def test_dialect_is_noted_and_may_be_chosen():
         ("#1=1\nO[#1+ call\nG0 X1", 2, "O[#1+CALL", "no O-word"),
         ("#1=1\nO[#1+2] call\nG0 X1", 2, "3", "is not in the program's file"),
         ("G0 X1\no[1E4] call", 2, "E4]", "needed is a ]"),
+        ("G0 X1\nG65 P2 I1 J2 I3", 2, "G65P2I1J2I3", "each letter once"),
+        ("G0 X1\nM98 P2 #1=5", 2, "M98P2#1=5", "assigns no parameter"),
+        ("G0 X1\n#1=\u0663", 2, "\u0663", "needed is a number"),
         ("#1=1\nM98 X5\nG0 X1", 2, "M98X5", "has a P"),
     ],
 )

@@ -24,7 +24,7 @@ from ..limits import MOST_VALUES
 from .texts import FUNCTIONS, ORDERS, Texts, logical
 
 _TOKEN = re.compile(
-    r"\s*(?:(?P<number>(?:\d+\.?\d*|\.\d+)(?:E[+-]?\d+)?)"
+    r"\s*(?:(?P<number>(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:E[+-]?[0-9]+)?)"
     r"|(?P<text>\"[^\"]*\"|'[BH][0-9A-F]+')|(?P<name>[A-Z_$#][\w$]*)"
     r"|(?P<sign>==|<>|<=|>=|[-+*/()\[\],.:{}<>=]))",
     re.IGNORECASE,

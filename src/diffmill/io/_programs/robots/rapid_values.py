@@ -22,7 +22,7 @@ from ..limits import MOST_VALUES
 from .texts import FUNCTIONS, ORDERS, Texts, logical
 
 _TOKEN = re.compile(
-    r"\s*(?:(?P<number>(?:\d+\.?\d*|\.\d+)(?:E[+-]?\d+)?)|(?P<text>\"[^\"]*\")"
+    r"\s*(?:(?P<number>(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:E[+-]?[0-9]+)?)|(?P<text>\"[^\"]*\")"
     r"|(?P<name>[A-Z_]\w*)|(?P<sign>:=|<>|<=|>=|[-+*/()\[\]{},.<>=\\:]))",
     re.IGNORECASE,
 )

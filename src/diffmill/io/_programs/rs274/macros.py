@@ -261,7 +261,11 @@ class MacroReader:
         before, call_word, behind = _CALL.split(text, maxsplit=1)
         if before.strip("("):
             self._plain(before, line)
-        words = {word.letter: word for word in self._line(behind, line).words}
+        read = self._line(behind, line)
+        words = {word.letter: word for word in read.words}
+        if read.assignments or len(words) < len(read.words):
+            message = "a call has each letter once, and assigns no parameter."
+            raise ExpressionError(text, message)
         routine, count = words.pop("P", None), words.pop("L", None)
         is_macro = call_word[0] == "G"
         if routine is None or (words and not is_macro):

@@ -30,7 +30,8 @@ _WORDS = (
     "OR LN EQ NE GT GE LT LE"
 )
 _TOKEN = re.compile(
-    rf"(?:(?P<number>\d+\.?\d*|\.\d+)|(?P<name>{'|'.join(_WORDS.split())}|<[^<>]*>)"
+    r"(?:(?P<number>[0-9]+\.?[0-9]*|\.[0-9]+)"
+    rf"|(?P<name>{'|'.join(_WORDS.split())}|<[^<>]*>)"
     r"|(?P<sign>\*\*|[-+*/\[\],#=]))"
 )
 # LinuxCNC, interp_internal.hh: nearer numbers are equal.
