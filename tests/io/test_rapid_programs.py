@@ -129,6 +129,7 @@ def test_modules_beside_it_are_used(tmp_path):
         (f"q:={TARGET.format(1, 2, '3,4')};", "3 components, not 4"),
         (AT + "ENDPROC\nENDMODULE\nMODULE b\nCONST num w:=v;\nPROC b()", "its value"),
         ("WHILE TRUE DO\ni:=[i];\nENDWHILE", "in each other more than 40 deep"),
+        ("IF TRUE " * 1200 + "i:=1;", "has no other one in it"),
         ("main 5;", "takes 0 value"),
         ("FOR i FROM " + "TO " * 9000, "10000 are allowed"),
         ("cut_it 5;", 'pass_over = \\["cut_it"\\]'),

@@ -305,6 +305,9 @@ def _compile(row: str, line: int, reader: _Rapid) -> None:
         except ExpressionError as error:
             reader.refuse(line, row, str(error))
             return
+        if re.match(r"IF\b", rest, re.IGNORECASE):
+            reader.refuse(line, row, "an IF of one line has no other one in it.")
+            return
         reader.begin_branch(line, texts.expression(condition), is_loop=False)
         if rest[:4].upper() == "THEN":
             # A condition of several lines goes on with the statement behind it.
