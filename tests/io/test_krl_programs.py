@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from diffmill.io import ProgramError, ProgramSetup, read_program
+from diffmill.toolpath import Program
 
 START = "PTP {X 0,Y 0,Z 9,A 0,B 0,C 180}"
 
@@ -149,6 +150,7 @@ def test_a_job_gives_the_speed_that_a_program_leaves_to_the_controller(tmp_path)
     with pytest.raises(ProgramError, match=r"there is no speed.*\[program\] feed"):
         read_program(tmp_path / "part.src")
     program = read_program(tmp_path / "part.src", setup=ProgramSetup(feed=0.02))
+    assert isinstance(program, Program)
     assert [move.feed for move in program.moves] == [None, 0.02, 0.1]
 
 

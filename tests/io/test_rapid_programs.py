@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from diffmill.io import ProgramError, ProgramSetup, read_program
+from diffmill.toolpath import Program
 
 TARGET = "[[{},{},{}],[0,1,0,0],[0,0,0,0],[9E9,9E9,9E9,9E9,9E9,9E9]]"
 DATA = (
@@ -114,7 +115,8 @@ def test_modules_beside_it_are_used(tmp_path):
         read_program(tmp_path / "main.mod")
     setup = ProgramSetup(pass_over=("PATH_10",))
     (tmp_path / "main.mod").write_text(rapid("path_10;\n" + AT))
-    assert len(read_program(tmp_path / "main.mod", setup=setup).moves) == 2
+    program = read_program(tmp_path / "main.mod", setup=setup)
+    assert isinstance(program, Program) and len(program.moves) == 2
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 import pytest
 
 from diffmill.io import ProgramSetup, read_program, write_program
+from diffmill.toolpath import Program
 
 KRL = """&ACCESS RVP
 DEF part( )
@@ -51,7 +52,9 @@ def rewritten(tmp_path, text, suffix, **options):
     (tmp_path / f"back{suffix}").write_text(written)
     axis = options.get("tool_axis")
     setup = ProgramSetup(pass_over=SETUP.pass_over, tool_axis=axis)
-    return program, written, read_program(tmp_path / f"back{suffix}", setup=setup)
+    back = read_program(tmp_path / f"back{suffix}", setup=setup)
+    assert isinstance(program, Program) and isinstance(back, Program)
+    return program, written, back
 
 
 def test_krl_keeps_base_tool_outputs_and_the_way_of_the_joints(tmp_path):

@@ -78,13 +78,16 @@ class Variables:
         """Give a name a value of the call at work, or of the whole program."""
         self.put(self.shared if is_shared else self.calls[-1], name, value)
 
-    def put(self, holder: Any, key: Any, value: Value) -> None:
+    def put(
+        self, holder: dict[Name, Value] | list[Value], key: Name, value: Value
+    ) -> None:
         """Put a copy of a value in the place of another one, and count their parts."""
+        places: Any = holder
         is_there = isinstance(holder, list) or key in holder
-        self._size += _count(value) - (_count(holder[key]) if is_there else 0)
+        self._size += _count(value) - (_count(places[key]) if is_there else 0)
         if self._size > MOST_VALUES:
             raise ExpressionError("", _TOO_MANY)
-        holder[key] = _copied(value)
+        places[key] = _copied(value)
 
     def hide(self, name: Name) -> None:
         """Hide a variable of the call at work behind a new one, which is 0."""

@@ -21,7 +21,7 @@ _NEAR_LIMIT, _NEAR_SPEED = 5.0, 0.8
 _NO_VOLUME = 1e-15
 
 
-class Check(eqx.Module):
+class LoadingCheck(eqx.Module):
     """One thing to be sure of before a program is loaded.
 
     Attributes:
@@ -36,7 +36,9 @@ class Check(eqx.Module):
     is_good: bool | None = eqx.field(static=True)
 
 
-def checks_before_loading(dataset: "xarray.Dataset", job: Job | None) -> list[Check]:
+def checks_before_loading(
+    dataset: "xarray.Dataset", job: Job | None
+) -> list[LoadingCheck]:
     """Checks of the corrected program, or of the given one where none was corrected.
 
     Args:
@@ -49,28 +51,29 @@ def checks_before_loading(dataset: "xarray.Dataset", job: Job | None) -> list[Ch
     found += [_surface(dataset), _collision(dataset, job)]
     departure = departure_text(dataset)
     if departure:
-        found.append(Check("departure from the program", departure, None))
+        found.append(LoadingCheck("departure from the program", departure, None))
     if chosen_case(dataset) != reference_case(dataset):
         text = "At 100 %: the times of the blocks are a part of the correction."
-        found.append(Check("override", text, None))
+        found.append(LoadingCheck("override", text, None))
     return found
 
 
-def _tolerance(dataset: "xarray.Dataset") -> Check:
+def _tolerance(dataset: "xarray.Dataset") -> LoadingCheck:
     judged = verdict(dataset)
-    return Check("contour error", f"{judged.title}.", judged.is_held)
+    return LoadingCheck("contour error", f"{judged.title}.", judged.is_held)
 
 
-def _chatter(dataset: "xarray.Dataset", job: Job | None) -> Check:
+def _chatter(dataset: "xarray.Dataset", job: Job | None) -> LoadingCheck:
     name = "chatter"
     if dataset.attrs.get("stability_has_chatter"):
-        return Check(name, "The cut is unstable, see the warnings.", False)
+        return LoadingCheck(name, "The cut is unstable, see the warnings.", False)
     if job is not None and job.simulation.stability == "none":
-        return Check(name, "Not looked at: [simulation] stability is none.", None)
-    return Check(name, "No vibration has the time to double.", True)
+        text = "Not looked at: [simulation] stability is none."
+        return LoadingCheck(name, text, None)
+    return LoadingCheck(name, "No vibration has the time to double.", True)
 
 
-def _limits(dataset: "xarray.Dataset", robot: Robot) -> Check:
+def _limits(dataset: "xarray.Dataset", robot: Robot) -> LoadingCheck:
     case = chosen_case(dataset)
     q = values_of(dataset, "motor_positions", case)
     lower, upper = (
@@ -81,28 +84,28 @@ def _limits(dataset: "xarray.Dataset", robot: Robot) -> Check:
     row, joint = np.unravel_index(np.nanargmin(room), room.shape)
     least = float(room[row, joint])
     if not np.isfinite(least):
-        return Check("joint limits", "The robot's file states none.", None)
+        return LoadingCheck("joint limits", "The robot's file states none.", None)
     place = place_text(dataset, case, int(row))
     text = f"{robot.joint_names[joint]} comes closest, to {least:.3g} {units[joint]} "
     text += f"of its limit, {place}."
-    return Check("joint limits", text, _judged(least > _NEAR_LIMIT, least > 0))
+    return LoadingCheck("joint limits", text, _judged(least > _NEAR_LIMIT, least > 0))
 
 
-def _speeds(dataset: "xarray.Dataset", robot: Robot) -> Check:
+def _speeds(dataset: "xarray.Dataset", robot: Robot) -> LoadingCheck:
     name, case = "joint speeds", chosen_case(dataset)
     if robot.joint_speed is None:
-        return Check(name, "The robot's file states no limits.", None)
+        return LoadingCheck(name, "The robot's file states no limits.", None)
     q, time = (values_of(dataset, key, case) for key in ("motor_positions", "time"))
     rate = np.abs(np.diff(q, axis=0) / np.diff(time)[:, None])
     share = rate / np.asarray(robot.joint_speed, float)
     if not np.isfinite(share).any():
-        return Check(name, "The robot's file states no limits.", None)
+        return LoadingCheck(name, "The robot's file states no limits.", None)
     row, joint = np.unravel_index(np.nanargmax(share), share.shape)
     most = float(share[row, joint])
     place = place_text(dataset, case, int(row) + 1)
     text = f"{robot.joint_names[joint]} moves with {100 * most:.3g} % of its largest "
     text += f"speed, {place}."
-    return Check(name, text, _judged(most < _NEAR_SPEED, most <= 1))
+    return LoadingCheck(name, text, _judged(most < _NEAR_SPEED, most <= 1))
 
 
 def _judged(is_clear: bool, is_allowed: bool) -> bool | None:
@@ -117,17 +120,17 @@ def _scales(robot: Robot) -> tuple[np.ndarray, list[str]]:
     return np.array([scale for scale, _ in pairs]), [unit for _, unit in pairs]
 
 
-def _surface(dataset: "xarray.Dataset") -> Check:
+def _surface(dataset: "xarray.Dataset") -> LoadingCheck:
     name = "gouge"
     if "surface_deepest" not in dataset:
-        return Check(name, "The surface was not compared.", None)
+        return LoadingCheck(name, "The surface was not compared.", None)
     case, band = chosen_case(dataset), tolerance_band(dataset)
     deepest = float(select_case(dataset, case)["surface_deepest"])
     text = f"The machined surface is up to {1e6 * deepest:.3g} {MICROMETRE} too deep."
-    return Check(name, text, deepest <= 1.5 * band if band else None)
+    return LoadingCheck(name, text, deepest <= 1.5 * band if band else None)
 
 
-def _collision(dataset: "xarray.Dataset", job: Job | None) -> Check:
+def _collision(dataset: "xarray.Dataset", job: Job | None) -> LoadingCheck:
     name, case = "shank and holder", chosen_case(dataset)
     warnings = [
         line.removeprefix("warning: ")
@@ -135,13 +138,14 @@ def _collision(dataset: "xarray.Dataset", job: Job | None) -> Check:
         if line.startswith("warning: ") and "holder" in line
     ]
     if warnings:
-        return Check(name, "; ".join(warnings), False)
+        return LoadingCheck(name, "; ".join(warnings), False)
     if "shank_volume" in dataset:
         volume = values_of(dataset, "shank_volume", case)
         if bool((volume > _NO_VOLUME).any()):
-            return Check(name, "The shank above the flutes is in the stock.", False)
+            text = "The shank above the flutes is in the stock."
+            return LoadingCheck(name, text, False)
     if job is None or job.holder is None:
-        return Check(
+        return LoadingCheck(
             name, "No holder is stated; the shank is clear of the stock.", None
         )
-    return Check(name, "Both are clear of the stock.", True)
+    return LoadingCheck(name, "Both are clear of the stock.", True)

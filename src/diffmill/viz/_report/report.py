@@ -40,7 +40,7 @@ from .._cases import (
     values_of,
 )
 from .._style import MICROMETRE, case_style
-from .before_loading import Check, checks_before_loading
+from .before_loading import LoadingCheck, checks_before_loading
 from .case_parts import out_of_cut_lines, parts_html, surface_figures_html
 from .html import (
     LargeNumber,
@@ -174,7 +174,7 @@ def write_report(
     return path
 
 
-def _checks(checks: Sequence[Check]) -> str:
+def _checks(checks: Sequence[LoadingCheck]) -> str:
     """Table of checks before a program is loaded."""
     marks = {True: "\u2713", False: "\u2717", None: "\u2610 look"}
     rows = [[marks[one.is_good], one.name, one.finding] for one in checks]

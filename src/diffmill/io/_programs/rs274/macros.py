@@ -229,7 +229,6 @@ class MacroReader:
         self, name: Expression, values: list[Expression], machine: Machine
     ) -> None:
         """Call the routine of an O-word with #1, #2 and so on."""
-        self.parameters.line = machine.line
         label = machine.value(name)
         label = label if isinstance(label, str) else f"{machine.number(name):.0f}"
         own: dict[Name, Value] = {
