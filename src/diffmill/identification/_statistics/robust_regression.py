@@ -292,7 +292,7 @@ def covariance(
     rows: Sequence[Rows],
     fit: LinearFit,
     loss: Loss,
-    model_error: Sequence[Float[np.ndarray, "row 3"]] = (),
+    model_error: Sequence[Float[np.ndarray, "_ 3"]] = (),
 ) -> Float[np.ndarray, "unknown unknown"]:
     """Covariance of the unknowns; infinite where one is not fixed.
 
