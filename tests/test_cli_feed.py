@@ -233,6 +233,20 @@ def test_the_fastest_feed_within_a_tolerance_is_written(folder, monkeypatch, cap
     with xarray.open_dataset(out / "result.nc", engine="h5netcdf") as found:
         np.testing.assert_allclose(found["override"], [1.0, 1.5])
         assert found["broken"].values.tolist() == ["", "tolerance"]
-    # What is no length is refused before anything runs.
-    assert main(["feed", "job.toml", "--tolerance", "50 N", "--force"]) == 2
-    assert "50 N" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--tolerance", "50 N"], "--tolerance: found '50 N'"),
+        (["--tolerance", "0 mm"], "--tolerance: found 0 mm"),
+        (["--tolerance", "1 mm", "--max-force", "-1 N"], "--max-force: found -1 N"),
+        (["--max-force", "100 N"], "without --tolerance"),
+    ],
+)
+def test_a_limit_that_is_none_is_refused_before_anything_runs(
+    folder, capsys, options, message
+):
+    assert main(["feed", "job.toml", *options]) == 2
+    assert message in capsys.readouterr().err
+    assert not (folder / "job-feed").exists()

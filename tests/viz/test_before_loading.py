@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import xarray
@@ -48,12 +49,16 @@ def test_limits_and_speeds_of_joints_are_named(correction, arm_job, tmp_path):
     text = table(tmp_path, with_motors(correction, motors), arm_job)
     # 0.02 rad are 1.15 deg; 0.98 rad in a step are far above 2 rad/s.
     assert "turn comes closest, to 1.15 deg of its limit" in text
-    assert "\u2610 look joint limits" in text and "\u2717 joint speeds" in text
+    assert "\u2610 joint limits" in text and "\u2717 joint speeds" in text
     motors[7, 0] = 0.0
     text = table(tmp_path, with_motors(correction, motors), arm_job)
     assert "\u2713 joint limits" in text
     assert "slide moves with 50 % of its largest speed" in text
     assert "\u2713 joint speeds" in text
+    robot = dataclasses.replace(arm_job.robot, joint_speed=jnp.full(2, jnp.inf))
+    free = dataclasses.replace(arm_job, robot=robot)
+    text = table(tmp_path, with_motors(correction, motors), free)
+    assert "joint speeds The robot's file states no limits" in text
     motors[7, 0] = 1.1
     assert "\u2717 joint limits" in table(
         tmp_path, with_motors(correction, motors), arm_job

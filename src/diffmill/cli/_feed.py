@@ -2,7 +2,7 @@
 
 import pathlib
 import sys
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from .._job import Job
     from ..correction import FastestFeed, FeedTradeoff, TunedFeed
     from ..toolpath import Path
+    from ..units import QuantityKind
+    from ._session.feed_request import FeedRequest
 
 # xarray is imported when there is something to write.
 Dataset: TypeAlias = Any
@@ -32,28 +34,9 @@ Dataset: TypeAlias = Any
 _LOWEST = 0.5
 
 
-class FeedRequest(NamedTuple):
-    """Request of a feed study.
-
-    Attributes:
-        overrides: Factors of the feed of the whole program.
-        weights: Weights of the time, for overrides along the path; may be empty.
-        corrects: True to correct the program at each of the factors too.
-        tolerance: Largest contour error, with its unit, for the fastest feed that keeps
-            it; None for the table of the factors.
-        max_force: Largest force of that feed, with its unit, or None.
-    """
-
-    overrides: tuple[float, ...]
-    weights: tuple[float, ...]
-    corrects: bool
-    tolerance: str | None = None
-    max_force: str | None = None
-
-
 def run_feed(
     file: pathlib.Path,
-    request: FeedRequest,
+    request: "FeedRequest",
     out: pathlib.Path | None,
     *,
     force: bool,
@@ -93,7 +76,7 @@ def run_feed(
 
 def _fastest(
     job: "Job",
-    request: FeedRequest,
+    request: "FeedRequest",
     folder: pathlib.Path,
     progress: Progress,
     *,
@@ -101,19 +84,16 @@ def _fastest(
 ) -> int:
     """Find the fastest feed within a tolerance, and write it; return the exit code."""
     from ..correction import fastest_feed
-    from ..units import FORCE, LENGTH, quantity
+    from ..units import FORCE, LENGTH
 
-    with bad_input():
-        tolerance = quantity(request.tolerance, LENGTH)
-        largest = np.inf
-        if request.max_force is not None:
-            largest = quantity(request.max_force, FORCE)
+    tolerance = _positive("--tolerance", request.tolerance, LENGTH)
+    largest = _positive("--max-force", request.max_force, FORCE)
     with progress, bad_correction(job.name, "that the feed could change"):
         found = fastest_feed(
             job,
             tolerance,
             max_force=largest,
-            corrects=request.corrects,
+            corrects=request.correct,
             on_progress=progress.update,
         )
     lines = _fastest_lines(job, found)
@@ -147,6 +127,25 @@ def _fastest_lines(job: "Job", found: "FastestFeed") -> list[str]:
     return [*lines, f"fastest: override {found.best.override:.3f}{why}"]
 
 
+def _positive(option: str, text: str | None, kind: "QuantityKind") -> float:
+    """Value of an option; infinite where it is not given.
+
+    Raises:
+        BadInput: It is no such quantity, or not positive.
+    """
+    from ..units import quantity
+
+    if text is None:
+        return np.inf
+    try:
+        value = quantity(text, kind)
+    except ValueError as error:
+        raise BadInput(f"{option}: {error}") from error
+    if not 0 < value < np.inf:
+        raise BadInput(f"{option}: found {text}, but a size above 0 is required")
+    return value
+
+
 def _path_files(name: str, job: "Job", path: "Path", what: str) -> dict[str, str]:
     """Path as CSV, and of a tool that stands upright as a program."""
     from ..io import write_gcode, write_path_csv
@@ -163,7 +162,7 @@ def _path_files(name: str, job: "Job", path: "Path", what: str) -> dict[str, str
 
 def _tune(
     job: "Job",
-    request: FeedRequest,
+    request: "FeedRequest",
     folder: pathlib.Path,
     progress: Progress,
     *,
@@ -193,7 +192,7 @@ def _tune(
     return code
 
 
-def _check(job: "Job", file: pathlib.Path, request: FeedRequest) -> None:
+def _check(job: "Job", file: pathlib.Path, request: "FeedRequest") -> None:
     """Refuse a request that cannot be run, before anything runs."""
     from .._toml import JobError
     from ..toolpath import PathFeed
@@ -208,6 +207,12 @@ def _check(job: "Job", file: pathlib.Path, request: FeedRequest) -> None:
         )
     if job.commanded is not None:
         raise JobError(file, [ONLY_SIMULATE])
+    from ..units import FORCE, LENGTH
+
+    _positive("--tolerance", request.tolerance, LENGTH)
+    _positive("--max-force", request.max_force, FORCE)
+    if request.max_force is not None and request.tolerance is None:
+        raise BadInput("--max-force: found without --tolerance, with which it counts")
     for name, values in (
         ("--overrides", request.overrides),
         ("--weights", request.weights),
@@ -229,7 +234,7 @@ def _check(job: "Job", file: pathlib.Path, request: FeedRequest) -> None:
 
 
 def _compute(
-    job: "Job", request: FeedRequest, progress: Progress
+    job: "Job", request: "FeedRequest", progress: Progress
 ) -> "tuple[FeedTradeoff, TunedFeed | None, str]":
     """Run the job at all feeds, and tune its feed if that was asked for.
 
@@ -244,7 +249,7 @@ def _compute(
         tradeoff = feed_tradeoff(
             job,
             request.overrides,
-            corrects=request.corrects,
+            corrects=request.correct,
             on_progress=progress.update,
         )
         if not request.weights:

@@ -16,6 +16,7 @@ import tyro
 from .._messages import printable
 from .._toml import read_toml
 from ._session.errors import BadInput, Interrupted, bad_input
+from ._session.feed_request import FeedRequest
 from ._session.job_options import JobOptions
 from ._session.usage import check_usage, shell_of
 
@@ -171,31 +172,7 @@ def correct(
 def feed(
     job: _JobFile,
     *,
-    overrides: Annotated[
-        tuple[float, ...],
-        tyro.conf.arg(help="Factors of the feed of the whole program to simulate."),
-    ] = (0.5, 0.75, 1.0, 1.25, 1.5),
-    weights: Annotated[
-        tuple[float, ...],
-        tyro.conf.arg(
-            help="Weights of the time against the error: for each the feed along the "
-            "path is tuned and written as a path and a program. May be empty."
-        ),
-    ] = (0.3, 0.1, 0.03),
-    correct: Annotated[
-        bool, tyro.conf.arg(help="Also correct the program at every override.")
-    ] = False,
-    tolerance: Annotated[
-        str | None,
-        tyro.conf.arg(
-            help='Find the fastest feed within this contour error, such as "0.1 mm", '
-            "and the drives."
-        ),
-    ] = None,
-    max_force: Annotated[
-        str | None,
-        tyro.conf.arg(help='With --tolerance: largest force, such as "300 N".'),
-    ] = None,
+    request: Annotated[FeedRequest, tyro.conf.arg(name="")] = FeedRequest(),
     out: _Out = None,
     force: _Force = False,
     shown: _Shown = _Display(),
@@ -203,11 +180,11 @@ def feed(
 ) -> int:
     """Say what a slower or faster feed costs in error; tune the feed along the path."""
     _check_tables(job)
-    from ._feed import FeedRequest, run_feed
+    from ._feed import run_feed
 
     return run_feed(
         job,
-        FeedRequest(overrides, weights, correct, tolerance, max_force),
+        request,
         out,
         force=force,
         progress=shown.progress(),

@@ -362,7 +362,7 @@ def _compute(
     """Run the job; `on_predicted` is called before anything is corrected."""
     from ..sim import simulate
 
-    def keep(arrays: Mapping[str, np.ndarray]) -> None:
+    def write_checkpoint(arrays: Mapping[str, np.ndarray]) -> None:
         checkpoint.write(arrays)
         # What the programs of the first segment took while they were made is free.
         give_back_memory()
@@ -371,7 +371,7 @@ def _compute(
         return simulate(
             job,
             on_progress=progress.update,
-            on_checkpoint=keep,
+            on_checkpoint=write_checkpoint,
             resume=checkpoint.resumed,
         )
     from ..correction import correct
@@ -386,7 +386,7 @@ def _compute(
             job,
             on_predicted=on_predicted,
             on_progress=tell,
-            on_checkpoint=keep,
+            on_checkpoint=write_checkpoint,
             resume=checkpoint.resumed,
         )
 

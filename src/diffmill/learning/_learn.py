@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from .._arrays import Arrays
 from .._job import Job
 from ..correction import Correction
 from ..process import FrozenStock
@@ -36,7 +37,7 @@ from ._posterior import (
     known_prior,
     processes,
 )
-from ._state import Arrays, LearningState, OnCheckpoint
+from ._state import LearningState, OnCheckpoint
 
 # Logarithm of how much more likely parameters and process must make what was seen to
 # be taken: below it a model that is right would be spoilt by noise.

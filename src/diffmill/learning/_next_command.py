@@ -7,6 +7,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from .._arrays import Arrays
 from .._job import Job
 from .._types import FloatRows3
 from ..correction import Correction, correct
@@ -14,7 +15,7 @@ from ..numerics import lowpass
 from ..process import FrozenStock
 from ..sim import Run, Solution
 from ._parameters import Rows3
-from ._state import Arrays, LearningState
+from ._state import LearningState
 
 # Of the mirror on the machine as it was learnt: cut-off frequencies [Hz], one after the
 # other, share of the deviation that a turn takes off, turns at most.

@@ -1,17 +1,17 @@
 """State of learning, from which an interrupted run goes on."""
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import TypeAlias
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Float, Shaped
+from jaxtyping import Float
 
-Arrays: TypeAlias = Mapping[str, Shaped[np.ndarray, "..."]]
+from .._arrays import Arrays, below, named_leaves
+
 # Called with all that is needed to go on from here.
 OnCheckpoint: TypeAlias = Callable[[Arrays], None]
-_CORRECTION = "correction/"
 
 
 class LearningState(eqx.Module):
@@ -38,14 +38,7 @@ class LearningState(eqx.Module):
 
     def arrays(self) -> Arrays:
         """All of it as plain arrays by name."""
-        return {
-            "step": np.asarray(self.step),
-            "parameters": self.parameters,
-            "set_up": self.set_up,
-            "stage": np.asarray(self.stage),
-            "command": self.command,
-            **{_CORRECTION + name: x for name, x in self.correction.items()},
-        }
+        return {name: np.asarray(leaf) for name, leaf in named_leaves(self).items()}
 
     @classmethod
     def of_arrays(cls, arrays: Arrays) -> "LearningState":
@@ -54,12 +47,11 @@ class LearningState(eqx.Module):
         Args:
             arrays: The arrays.
         """
-        start = len(_CORRECTION)
         return cls(
             int(arrays["step"]),
             np.asarray(arrays["parameters"]),
             np.asarray(arrays["set_up"]),
             int(arrays["stage"]),
             np.asarray(arrays["command"]),
-            {k[start:]: x for k, x in arrays.items() if k.startswith(_CORRECTION)},
+            below("correction", arrays),
         )

@@ -159,7 +159,7 @@ class _Search(NamedTuple):
     corrects: bool
 
     def tried(self, override: float) -> TriedFeed:
-        """What an override gives, and which limit it breaks."""
+        """Trial of an override."""
         path = retime(self.job.path, override)
         time = PathFeed.of_path(self.job.path).cycle_time(override)
         job = eqx.tree_at(lambda j: j.path, self.job, path)

@@ -246,9 +246,9 @@ class Parser:
     def __init__(self, text: str, grammar: Grammar, at: int = 0):
         self.text, self.grammar, self.at = text, grammar, at
         self._depth = 0
-        self._look()
+        self._read_token()
 
-    def _look(self) -> None:
+    def _read_token(self) -> None:
         match = self.grammar.token.match(self.text, self.at)
         self.kind = (match.lastgroup or "") if match else ""
         self.word, self._end = "", self.at
@@ -260,7 +260,7 @@ class Parser:
     def advance(self) -> str:
         """Take the next token; return its word."""
         word, self.at = self.word, self._end
-        self._look()
+        self._read_token()
         return word
 
     def take(self, words: Collection[str]) -> str:
@@ -336,7 +336,7 @@ class Parser:
             if grammar.call is not None:
                 return grammar.call(name, self.arguments())
             raise ExpressionError(self.text[position:].strip(), "no such function.")
-        return self._rest_of_variable(name).get
+        return self._variable_behind(name).get
 
     def arguments(self) -> list[Expression]:
         """Read expressions in brackets, separated by commas."""
@@ -354,9 +354,9 @@ class Parser:
         if self.kind != "name":
             found = self.text[self.at :].strip()
             raise ExpressionError(found or self.text, "needed is the name of a value.")
-        return self._rest_of_variable(self.advance())
+        return self._variable_behind(self.advance())
 
-    def _rest_of_variable(self, name: str) -> Variable:
+    def _variable_behind(self, name: str) -> Variable:
         path: list[Expression | str] = []
         opening, closing = self.grammar.brackets[2] or ("", "")
         while self.kind == "sign":

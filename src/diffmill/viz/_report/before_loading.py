@@ -93,13 +93,14 @@ def _limits(dataset: "xarray.Dataset", robot: Robot) -> LoadingCheck:
 
 def _speeds(dataset: "xarray.Dataset", robot: Robot) -> LoadingCheck:
     name, case = "joint speeds", chosen_case(dataset)
-    if robot.joint_speed is None:
+    limits = None
+    if robot.joint_speed is not None:
+        limits = np.asarray(robot.joint_speed, float)
+    if limits is None or not np.isfinite(limits).any():
         return LoadingCheck(name, "The robot's file states no limits.", None)
     q, time = (values_of(dataset, key, case) for key in ("motor_positions", "time"))
     rate = np.abs(np.diff(q, axis=0) / np.diff(time)[:, None])
-    share = rate / np.asarray(robot.joint_speed, float)
-    if not np.isfinite(share).any():
-        return LoadingCheck(name, "The robot's file states no limits.", None)
+    share = rate / limits
     row, joint = np.unravel_index(np.nanargmax(share), share.shape)
     most = float(share[row, joint])
     place = place_text(dataset, case, int(row) + 1)

@@ -176,9 +176,14 @@ def write_report(
 
 def _checks(checks: Sequence[LoadingCheck]) -> str:
     """Table of checks before a program is loaded."""
-    marks = {True: "\u2713", False: "\u2717", None: "\u2610 look"}
+    marks = {True: "\u2713", False: "\u2717", None: "\u2610"}
     rows = [[marks[one.is_good], one.name, one.finding] for one in checks]
-    return table_html(["", "check", "finding"], rows, is_text=True)
+    legend = (
+        "\u2713 nothing speaks against loading, \u2717 something does, \u2610 look at "
+        "it yourself."
+    )
+    table = table_html(["", "check", "finding"], rows, is_text=True)
+    return f'{table}<p class="note">{legend}</p>'
 
 
 def _head(

@@ -204,7 +204,7 @@ def parse_krl(
         bare = _bare(row)
         if message := fault_of_length(bare) or fault_of_statement(bare):
             reader.refuse(number, bare, message)
-        elif not _keep_data(bare, number, reader):
+        elif not _declare_data(bare, number, reader):
             _assign(bare, number, reader)
     if reader.faults:
         raise ProgramError(pathlib.PurePath(name).stem + ".dat", reader.faults)
@@ -307,8 +307,8 @@ def _compile(row: str, line: int, reader: _Krl) -> None:
         reader.add(line, row)
 
 
-def _keep_data(row: str, line: int, reader: _Krl) -> bool:
-    """Keep what a line declares; False if it declares nothing."""
+def _declare_data(row: str, line: int, reader: _Krl) -> bool:
+    """Declare the data of a line; False if it declares nothing."""
     if match := _FRAME_DATA.fullmatch(row):
         reader.base_and_tool.declare(match[1], match[2])
         return True
@@ -393,8 +393,8 @@ def _statement(row: str, line: int, reader: _Krl) -> None:
     elif match := _TIME.fullmatch(row):
         _time_block(match, line, reader)
     elif match := _WAIT.fullmatch(row):
-        reader.rest(match[1], row, line)
-    elif _keep_data(row, line, reader) or _assign(row, line, reader):
+        reader.dwell(match[1], row, line)
+    elif _declare_data(row, line, reader) or _assign(row, line, reader):
         pass
     elif word == "HALT":
         reader.out.note("HALT", "waits for the operator, which takes no time", line)

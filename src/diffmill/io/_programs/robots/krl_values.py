@@ -221,7 +221,7 @@ class KrlValues:
             name, value = item[1].upper(), item[3]
             if value is not None and kind not in ("INT", "REAL", "BOOL", "CHAR"):
                 if self._types.get(kind) and value.startswith("{"):
-                    self._keep(
+                    self._declare_place(
                         f"{name}{item[2] or ''}", kind, literal(value), is_shared
                     )
                 continue
@@ -248,7 +248,9 @@ class KrlValues:
             self.variables.declare(f"type {name}", kind, is_shared=is_shared)
         return True
 
-    def _keep(self, name: str, kind: str, value: Value, is_shared: bool) -> None:
+    def _declare_place(
+        self, name: str, kind: str, value: Value, is_shared: bool
+    ) -> None:
         """Keep a place that is declared with its value."""
         if "[" in name:
             self.put(name, value)

@@ -146,7 +146,7 @@ class Language(Reader):
             del self.faults[count:]
             self.machine.stop()
 
-    def rest(self, value: str, row: str, line: int) -> None:
+    def dwell(self, value: str, row: str, line: int) -> None:
         """Let the tool rest for so many seconds."""
         duration = self.number(value)
         if math.isnan(duration) and re.fullmatch(NUMBER, value.strip()):

@@ -390,7 +390,7 @@ def _statement(row: str, line: int, reader: _Rapid) -> None:
         value = f"{place}+({match[3]})" if match[3] else _COUNTS[match[1].upper()]
         _assign(place, value.format(place), line, reader)
     elif match := _WAIT.fullmatch(row):
-        reader.rest(match[1], row, line)
+        reader.dwell(match[1], row, line)
     elif match := _OVERRIDE.fullmatch(row):
         _set_override(match[1], row, line, reader)
     elif match := _QUIET.fullmatch(row):

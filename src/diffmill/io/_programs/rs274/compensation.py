@@ -49,8 +49,8 @@ class _Side(NamedTuple):
         return angle if angle > -_STRAIGHT else angle + 2 * math.pi
 
 
-class _Waiting(NamedTuple):
-    """A move whose end the next corner tells, and the axes that it states."""
+class _PendingMove(NamedTuple):
+    """Move whose end follows from the next corner, and the axes that it states."""
 
     move: Move
     axes: str
@@ -72,7 +72,7 @@ class CutterCompensation:
         self.place: Point | None = None
         self._before: _Side | None = None
         self._is_entry = False
-        self._waiting: list[_Waiting] = []
+        self._pending: list[_PendingMove] = []
         self._is_lost = False
 
     def add(self, move: Move, axes: str) -> None:
@@ -85,27 +85,27 @@ class CutterCompensation:
             move = move._replace(feed=move.length / move.duration, duration=None)
         if move.centre is None and self._flat(move.start) == self._flat(move.end):
             # Up or down: where the move before it ends.
-            self._waiting.append(_Waiting(move, axes))
+            self._pending.append(_PendingMove(move, axes))
             if self._before is None:
                 self._release(self._flat(move.end))
             return
         try:
-            move, side = self._beside(move)
+            move, side = self._offset_move(move)
         except ValueError as error:
             self._is_lost = True
             self.out.faults.append(Fault(move.line, "", str(error)))
             return
-        self._waiting.append(_Waiting(move, axes))
+        self._pending.append(_PendingMove(move, axes))
         self._is_entry, self._before = self._before is None, side
 
     def dwell(self, duration: float, line: int, word: str) -> None:
         """Let the tool rest behind the last programmed move [s]."""
-        if not self._waiting:
+        if not self._pending:
             self.out.dwell(duration, line, word)
             return
-        last = self._waiting[-1]
+        last = self._pending[-1]
         rested = self.out.rested(last.move, duration, line, word)
-        self._waiting[-1] = last._replace(move=rested)
+        self._pending[-1] = last._replace(move=rested)
 
     def finish(self) -> Point | None:
         """Make the last move; return where the tool is then [m]."""
@@ -113,7 +113,7 @@ class CutterCompensation:
             try:
                 self._release(self._before.end + self._offset(self._before.last))
             except ValueError as error:
-                line = self._waiting[0].move.line
+                line = self._pending[0].move.line
                 self.out.faults.append(Fault(line, "", str(error)))
         return None if self._before is None else self.place
 
@@ -132,7 +132,7 @@ class CutterCompensation:
         """From the path to the centre of the tool, where the path has a direction."""
         return self.side * 1j * direction * self.radius
 
-    def _beside(self, move: Move) -> tuple[Move, _Side]:
+    def _offset_move(self, move: Move) -> tuple[Move, _Side]:
         """The move beside a programmed one, and its side, behind its corner."""
         begin, end = self._flat(move.start), self._flat(move.end)
         centre = None if move.centre is None else self._flat(move.centre)
@@ -238,7 +238,7 @@ class CutterCompensation:
 
     def _release(self, end: complex) -> None:
         """Make the moves that wait, which all end at a point of the plane."""
-        for index, (move, axes) in enumerate(self._waiting):
+        for index, (move, axes) in enumerate(self._pending):
             place = self.place or move.start
             made = move._replace(start=place)
             height = move.end[self.plane]
@@ -251,7 +251,7 @@ class CutterCompensation:
                 raise ValueError(message + f"(line {move.line}) without a gouge.")
             self.out.add(made, axes)
             self.place = made.end
-        self._waiting = []
+        self._pending = []
 
     def _is_reversed(self, made: Move, move: Move) -> bool:
         """True if a move that is cut short goes backwards."""
