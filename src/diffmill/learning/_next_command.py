@@ -60,8 +60,8 @@ class CommandSearch(eqx.Module):
         self,
         max_steps: int,
         state: LearningState,
-        keep: Callable[[LearningState], None],
-        tell: Callable[[str], None],
+        on_state: Callable[[LearningState], None],
+        on_progress: Callable[[str], None],
     ) -> Correction:
         """The next command, by turns of a mirror and of Gauss-Newton.
 
@@ -71,10 +71,11 @@ class CommandSearch(eqx.Module):
         Args:
             max_steps: Steps of Gauss-Newton at most.
             state: From which the search goes on.
-            keep: Called with the state before each step.
-            tell: Called with a message.
+            on_state: Called with the state before each step.
+            on_progress: Called with a message.
         """
         first = (max_steps + 1) // 2
+        # Steps of Gauss-Newton in each stage; None for the mirror.
         stages = [
             stage for n in (first, max_steps - first) if n > 0 for stage in (None, n)
         ]
@@ -85,20 +86,22 @@ class CommandSearch(eqx.Module):
                 state, stage=number, command=np.asarray(command), correction={}
             )
             if number > state.stage:
-                keep(at)
+                on_state(at)
             steps = stages[number]
             if steps is None:
-                tell("next command: mirror")
+                on_progress("next command: mirror")
                 command = self._mirrored(command)
             else:
-                tell("next command: Gauss-Newton")
-                correction = self._corrected(command, steps, at, keep, resumed)
+                on_progress("next command: Gauss-Newton")
+                correction = self._corrected(command, steps, at, on_state, resumed)
                 command, resumed = np.asarray(correction.commanded), {}
         assert correction is not None
         far = _distance(command, self.best)
         if far <= self.radius:
             return correction
-        tell("next command: shorter, since the last one was worse than one before")
+        on_progress(
+            "next command: shorter, since the last one was worse than one before"
+        )
         share = self.radius / far
         shorter = (1 - share) * self.best + share * np.asarray(command)
         return self._corrected(shorter, 0, state, lambda state: None, {})
@@ -108,7 +111,7 @@ class CommandSearch(eqx.Module):
         start: Rows3,
         steps: int,
         state: LearningState,
-        keep: Callable[[LearningState], None],
+        on_state: Callable[[LearningState], None],
         resumed: Arrays,
     ) -> Correction:
         """Correction from a command, by some steps of Gauss-Newton."""
@@ -118,7 +121,7 @@ class CommandSearch(eqx.Module):
             dataclasses.replace(self.job, correction=settings),
             start=start,
             throw=False,
-            on_checkpoint=lambda arrays: keep(
+            on_checkpoint=lambda arrays: on_state(
                 dataclasses.replace(state, correction=arrays)
             ),
             resume=resumed or None,
