@@ -19,6 +19,7 @@ GROUPS = (
     "linear",
     "lengths",
     "long",
+    "adaptive",
     "batch",
     "process",
     "expected",

@@ -78,6 +78,7 @@ def add_analyses(folder: pathlib.Path, run: FinishedRun, progress: Progress) -> 
             dataset = _with_written(folder, run, progress)
     try:
         for name, step in (
+            ("resolution", _with_resolution),
             ("contacts", _with_contacts),
             ("stability", _with_stability),
             ("sensitivity", _with_sensitivity),
@@ -121,6 +122,24 @@ def _with_written(
         attributes["written_not_run"] = 1
     dataset = run.dataset.assign_attrs(attributes)
     return _with_notes(dataset, _printed(lines, progress))
+
+
+def _with_resolution(run: FinishedRun, progress: Progress) -> Dataset:
+    """Dataset with what a held engagement costs, which is printed."""
+    is_look, error = run.final.is_look, run.final.held_force_error
+    is_cut = np.asarray(run.final.is_cutting)
+    if is_look is None or error is None or not is_cut.any():
+        return run.dataset
+    force = np.linalg.norm(np.asarray(run.final.force)[is_cut], axis=1)
+    rms = lambda x: float(np.sqrt(np.mean(np.square(x))))
+    off = rms(np.asarray(error)[is_cut])
+    line = (
+        'resolution: "adaptive": the stock was looked up in '
+        f"{100 * np.mean(np.asarray(is_look)):.0f} % of the tooth periods; forces in "
+        f"between are off by about {off:.2g} N rms where the tool cuts, "
+        f"{100 * off / rms(force):.1f} % of them"
+    )
+    return _with_notes(run.dataset, _printed([line], progress))
 
 
 def _with_contacts(run: FinishedRun, progress: Progress) -> Dataset:

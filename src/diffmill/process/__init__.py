@@ -31,7 +31,10 @@ from ._process import (
     Process as Process,
     Substeps as Substeps,
 )
-from ._state import ProcessState as ProcessState, RemovedVolume as RemovedVolume
+from ._state import (
+    ProcessState as ProcessState,
+    RemovedVolume as RemovedVolume,
+)
 from ._stock_derivatives import (
     AbstractAdjoint as AbstractAdjoint,
     FrozenStock as FrozenStock,

@@ -15,7 +15,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.typing import DTypeLike
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from .._arrays import is_traced
 from ..cutter import AbstractCutter
@@ -141,10 +141,10 @@ class RemovalHistory(NamedTuple):
         Returns:
             The state and what was removed.
         """
-        state = self._enqueue(state, index, pose)
+        state = self.enter(state, index, pose)
         return self._remove_lagged(state, index)
 
-    def _enqueue(
+    def enter(
         self,
         state: ProcessState,
         index: Int[Array, ""],
@@ -310,6 +310,91 @@ class RemovalHistory(NamedTuple):
         )
         return state, RemovedVolume(oldest.row, cut.volume, cut.by_shank)
 
+    def has_room(self, state: ProcessState) -> Bool[Array, ""]:
+        """True if the poses of another period can wait."""
+        return state.queue_count <= QUEUE_LENGTH - 2 * _REMOVALS
+
+    def remove_behind(
+        self,
+        state: ProcessState,
+        removed: RemovedVolume,
+        ahead: Float[Array, ""],
+    ) -> tuple[ProcessState, RemovedVolume]:
+        """Remove all passes that the tool has left behind by the lag, many at once.
+
+        Passes that are near to each other take one interval of each ray together. A
+        scallop between two of them, of f^2 / (8 R) at most, goes with them.
+
+        # symbols: f way of the tool in a tooth period, R radius
+
+        Args:
+            state: The state.
+            removed: What was removed before, as of `RemovedVolume.nothing`.
+            ahead: How far the tool goes before the stock is looked up [m], shape ().
+
+        Returns:
+            The state, and what is removed by then.
+
+        **Differentiability**: in forward mode.
+        """
+        index = state.newest.row
+
+        def due(state: ProcessState) -> Int[Array, ""]:
+            age = state.newest.travel + ahead - state.queue.travel
+            places = jnp.arange(QUEUE_LENGTH, dtype=jnp.int32)
+            periods = index - state.queue.row
+            is_due = (age >= self.removal_lag) & (periods >= self._wait())
+            is_due |= periods >= _HISTORY
+            is_due &= places < state.queue_count - 1
+            way = state.queue.travel - state.queue.travel[0]
+            is_due &= way <= self.window.slack
+            count = jnp.sum(jnp.cumprod(is_due.astype(jnp.int32)), dtype=jnp.int32)
+            # Where the shank begins is told by the height of one pass.
+            return jnp.minimum(count, 1) if self.window.has_shank else count
+
+        def remove(given):
+            state, removed, count, _ = given
+            queue, pops = state.queue, count > 0
+            cut, number = self.window.remove_together(
+                state.stock,
+                self.cutter,
+                lambda k: self._tooth_pass(state, queue[k], index),
+                jnp.maximum(count, 1),
+                slots=state.slots,
+            )
+            gone = jnp.where(pops, number, 0)
+            shift = jnp.arange(QUEUE_LENGTH, dtype=jnp.int32) + gone
+            state = eqx.tree_at(
+                lambda s: (
+                    s.stock,
+                    s.queue,
+                    s.queue_count,
+                    s.slots,
+                    s.has_overflow,
+                    s.has_left_window,
+                ),
+                state,
+                (
+                    cut.stock,
+                    queue[jnp.minimum(shift, QUEUE_LENGTH - 1)],
+                    state.queue_count - gone,
+                    cut.slots,
+                    state.has_overflow | cut.has_overflow,
+                    state.has_left_window | cut.has_left_window,
+                ),
+            )
+            taken = RemovedVolume(queue.row[:1], cut.volume, cut.by_shank)
+            removed = removed.with_passes(queue.row, gone, taken)
+            count = due(state)
+            return state, removed, count, count > 0
+
+        # As long as the tool has not moved, what it stands in is removed.
+        stands = state.newest.travel <= 0
+        count = due(state)
+        given = state, removed, count, stands | (count > 0)
+        state, removed, *_ = jax.lax.while_loop(lambda c: c[3], remove, given)
+        return state, removed
+
     def decimated_poses(self, state: ProcessState) -> Pose:
         """Return the newest poses in the queue at given distances behind the tool."""
         rows = self.decimated_rows(state)
@@ -347,7 +432,7 @@ class RemovalHistory(NamedTuple):
         """
         cutter, window = self.cutter, self.window
         newest: Int[Array, ""] = jnp.asarray(pose_count - 1, jnp.int32)
-        state = self._enqueue(state, newest, pose)
+        state = self.enter(state, newest, pose)
         slots = jnp.arange(QUEUE_LENGTH, dtype=jnp.int32)
         # After the last pose the tool stands there while its teeth go around.
         rest = jnp.arange(1 + self._wait(), dtype=jnp.int32)

@@ -112,3 +112,38 @@ class RemovedVolume(eqx.Module):
     pose: Int[Array, "*step pose"]
     volume: Float[Array, "*step pose"]
     by_shank: Float[Array, "*step pose"]
+
+    @staticmethod
+    def nothing(row_count: int, dtype: jnp.dtype) -> "RemovedVolume":
+        """Nothing, with room for what the tool stood in and for poses of a track.
+
+        Args:
+            row_count: How many poses there are.
+            dtype: Floating type.
+        """
+        pose = jnp.maximum(jnp.arange(-1, row_count, dtype=jnp.int32), 0)
+        none = jnp.zeros(row_count + 1, dtype)
+        return RemovedVolume(pose, none, none)
+
+    def with_passes(
+        self, rows: Int[Array, " queue"], count: Int[Array, ""], cut: "RemovedVolume"
+    ) -> "RemovedVolume":
+        """The same with what passes took together, each of them as much.
+
+        Args:
+            rows: Poses of the passes, the first ones.
+            count: How many passes, shape (); 0 where the tool stands at the start.
+            cut: What they took.
+        """
+        number = jnp.arange(rows.size, dtype=jnp.int32)
+        nowhere = self.volume.size
+        at = jnp.where(number < count, rows + 1, nowhere)
+        at = at.at[0].set(jnp.where(count > 0, at[0], 0))
+
+        def add(before: Array, taken: Array) -> Array:
+            share = jnp.sum(taken) / jnp.maximum(count, 1).astype(taken.dtype)
+            return before.at[at].add(share, mode="drop")
+
+        return RemovedVolume(
+            self.pose, add(self.volume, cut.volume), add(self.by_shank, cut.by_shank)
+        )

@@ -108,6 +108,12 @@ def completed_simulation(
         check_correction(tables.correction, cutter, not axes, problems, mode=table.mode)
         check_sections(tables.correction.sections, parts.program, problems)
     updates = default_updates(period, substeps)
+    if table.resolution == "adaptive" and updates > 1:
+        problems.append(
+            f'[simulation] resolution: found "adaptive" with a tooth period of '
+            f"{period * 1e3:g} ms, in which the stock is looked up {updates} times; "
+            'only "every tooth" is allowed'
+        )
     return dataclasses.replace(
         table,
         angles=angles,
@@ -204,6 +210,14 @@ def _check_simulation(
         problems.append(
             f"[simulation] stability: found true, but with {why} nothing vibrates; "
             'only false or "quick" is allowed'
+        )
+    differs = not cutter.has_even_pitch or cutter.has_runout
+    if table.resolution == "adaptive" and (differs or chip.needs_plain_cutter):
+        why = f'chip = "{chip.name}"' if not differs else "teeth that are not alike"
+        problems.append(
+            f'[simulation] resolution: found "adaptive" with {why}, but an engagement '
+            'is held only for even pitch, without run-out and with chip = "near_far"; '
+            'only "every tooth" is allowed'
         )
     if table.has_sensitivity and is_rigid:
         problems.append(

@@ -23,6 +23,8 @@ _ROWS = {
     "deviation": ("m", "actual - desired"),
     "surface_deviation": ("m", "actual - desired when a tooth makes the wall"),
     "contour_error": ("m", "distance to the desired polyline when the wall was made"),
+    "is_look": ("1", "the stock was looked up in the tooth period before"),
+    "held_force_error": ("N", "estimate of the force that a held engagement costs"),
     "is_cutting": ("1", "the rigid tool cuts in the tooth period before"),
     "motor_positions": ("", "motor positions on the joint's side, sag included"),
     "joint_positions": ("", "joint positions"),

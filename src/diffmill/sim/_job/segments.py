@@ -30,6 +30,7 @@ from .._machine.machine import (
     TurnChips,
     outcome,
 )
+from .._machine.stretches import run_in_blocks
 from .checkpoint import RunCheckpoint, RunPlace, SegmentOutputs
 from .path_segments import PathSegment, Segments
 
@@ -78,22 +79,28 @@ class SegmentPlan(NamedTuple):
         more_slots: Returns the slots with which a segment is run again in which a ray
             ran out of them.
         checkpoint: Where finished segments are kept.
+        is_adaptive: Whether one look at the stock stands for several tooth periods
+            where the cut is steady: a short path is then a segment, too.
     """
 
     periods: int = LONGEST
     on_rows: Callable[[int], None] = lambda count: None
     more_slots: MoreSlots = lambda counts: None
     checkpoint: RunCheckpoint = RunCheckpoint()
+    is_adaptive: bool = False
 
     def suits(self, path: Path, given: object) -> bool:
         """True if a path is run in segments: a long one, of which nothing is traced.
+
+        One of which something is traced is run whole, and looks at every tooth.
 
         Args:
             path: The path.
             given: All that its run depends on.
         """
         is_padded = path.row_count is not None
-        return path.step_count > self.periods and not (is_padded or is_traced(given))
+        is_long = self.is_adaptive or path.step_count > self.periods
+        return is_long and not (is_padded or is_traced(given))
 
     def segments(self, row_count: int) -> Segments:
         """Segments of a path of so many rows."""
@@ -198,7 +205,8 @@ def _ran(
     told, teller = rows.command(segment, place.teller)
     count, state = on_device(np.asarray(segment.row_count, np.int32)), place.state
     while True:
-        ran = _segment(machine, _with_stock_of(process, state), told, state, count)
+        own = _with_stock_of(process, state)
+        ran = _segment(machine, own, told, state, count, plan.is_adaptive)
         if not bool(ran.state.process.has_overflow):
             break
         counts = plan.more_slots(state.process.stock.interval_counts)
@@ -267,8 +275,10 @@ def _segment(
     command: PyTree,
     state: RunState,
     row_count: Int[Array, ""],
+    is_adaptive: bool,
 ) -> RunSegment:
-    return machine.run_segment(process, command, state, row_count)
+    in_blocks = run_in_blocks if is_adaptive else None
+    return machine.run_segment(process, command, state, row_count, in_blocks=in_blocks)
 
 
 @CachedJit

@@ -86,6 +86,10 @@ class Solution(eqx.Module):
         is_reached: Whether the robot reaches what is commanded, shape (step,); True for
             a rigid machine.
         stock: The stock after the last pose.
+        is_look: Whether the stock was looked up in the period before, shape (step,);
+            None if it was in each.
+        held_force_error: Estimate of the force that it costs not to look in each [N],
+            shape (step,); None if each period looks.
         rigid: The process alone on the desired path; its stock is as it should be, that
             of a cutter without run-out.
         result: Outcome of the run.
@@ -115,6 +119,8 @@ class Solution(eqx.Module):
     result: RESULTS
     joint_names: tuple[str, ...] = eqx.field(static=True)
     joint_units: tuple[str, ...] = eqx.field(static=True, default=())
+    is_look: Bool[Array, " step"] | None = None
+    held_force_error: Float[Array, " step"] | None = None
 
     @staticmethod
     def of_command(
@@ -176,6 +182,7 @@ class Solution(eqx.Module):
         # On the host, since a device compiles these for every length.
         xp = jnp if is_traced((ran, rigid, is_reached)) else np
         is_cutting = xp.any(xp.asarray(rigid.force) != 0, axis=1)
+        looks = ran.looks
         has_failed = xp.asarray(ran.has_failed) | xp.asarray(rigid.has_failed)
         are_reached = on_device(xp.asarray(xp.all(xp.asarray(is_reached))))
         result = _outcome(ran.result, rigid.result, are_reached)
@@ -202,6 +209,10 @@ class Solution(eqx.Module):
             result=result,
             joint_names=() if job.robot is None else job.robot.joint_names,
             joint_units=() if job.robot is None else job.robot.joint_units,
+            is_look=None if looks is None else on_device(looks.is_look),
+            held_force_error=(
+                None if looks is None else on_device(looks.force_error())
+            ),
         )
 
     def raise_unless_successful(self, job: Job | None = None) -> None:
@@ -337,6 +348,7 @@ def simulate(
         tell,
         motors=motors,
         segment_periods=segment_periods,
+        is_adaptive=job.simulation.resolution == "adaptive",
         checkpoint=RunCheckpoint(write=on_checkpoint, resume=resume),
     )
     solution = run.solution
@@ -386,6 +398,7 @@ def simulate_with_slot_growth(
     *,
     motors: FloatRows | None = None,
     segment_periods: int = LONGEST,
+    is_adaptive: bool = False,
     checkpoint: RunCheckpoint = RunCheckpoint(),
 ) -> SolvedJob:
     """Run a job, and again with more slots while its rays need more intervals.
@@ -397,12 +410,13 @@ def simulate_with_slot_growth(
         on_progress: Called with a message and the share done.
         motors: As of `simulate`.
         segment_periods: As of `simulate`.
+        is_adaptive: As of `SegmentPlan`.
         checkpoint: Where finished segments are kept, under any name.
 
     Differentiability: as `simulate`; what is traced is run once.
     """
     if not is_traced((job, commanded)):
-        _prepare(job, segment_periods)
+        _prepare(job, SegmentPlan(segment_periods, is_adaptive=is_adaptive))
     count = job.path.step_count
 
     def run_with_slots(
@@ -426,7 +440,7 @@ def simulate_with_slot_growth(
 
         on_progress(name, first)
         kept = checkpoint._replace(run=name)
-        plan = SegmentPlan(segment_periods, on_rows, more_slots, kept)
+        plan = SegmentPlan(segment_periods, on_rows, more_slots, kept, is_adaptive)
         while True:
             found = run(grown, plan)
             has_room = is_traced(found.result) or not bool(
@@ -741,9 +755,9 @@ def _needed(adjoint: AbstractAdjoint, arguments: object) -> AbstractAdjoint:
     return adjoint if is_traced(arguments) else FrozenStock()
 
 
-def _prepare(job: Job, segment_periods: int) -> None:
+def _prepare(job: Job, plan: SegmentPlan) -> None:
     """Compile the run of a command while the rigid cut is compiled and runs."""
-    if job.is_rigid or SegmentPlan(segment_periods).suits(job.path, job):
+    if job.is_rigid or plan.suits(job.path, job):
         return
     problem = MachiningProblem.padded(job, FrozenStock())
     steps, dtype = problem.path.step_count, np.dtype(job.simulation.precision)

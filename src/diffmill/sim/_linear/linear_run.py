@@ -15,7 +15,6 @@ period once. One recurrence then carries any number of directions at once.
 The stock is held: how a surface moves with the poses that cut it is left out.
 """
 
-import dataclasses
 import functools
 import math
 from typing import Any, NamedTuple
@@ -34,6 +33,7 @@ from .._machine.compliant import AbstractCompliant
 from .._machine.machine import (
     PeriodRow,
     RunState,
+    StockAccess,
     all_ends,
     begin,
     continued,
@@ -347,9 +347,11 @@ def linearise(
     else:
         started, first = continued(process, state, steps - 1)
 
+    access = StockAccess(engagement_with_slopes)
+
     def period(state: RunState, row: PeriodRow):
-        ended, out = machine.period(process, state, row, engagement_with_slopes)
-        substeps, out = out.substeps, dataclasses.replace(out, substeps=None)
+        ended, out = machine.period(process, state, row, access)
+        substeps, cut, out = out.substeps, out.engagement, out.recorded()
         assert substeps is not None
         before, after = state.process, ended.process
         # As the period saw it, before its own poses became the most recent.
@@ -357,7 +359,6 @@ def linearise(
             lambda s: (s.recent, s.ends), after, (before.recent, before.ends)
         )
         middles = after.recent[0]
-        cut = substeps.engagement
         if cut is None:
             predicted = eqx.tree_at(lambda p: p.tip, middles, substeps.predicted)
             cut = engagement_with_slopes(process, near, row, predicted)

@@ -7,7 +7,6 @@ middle of the sub-step. Machines differ in how a tooth period is prepared
 """
 
 import abc
-import dataclasses
 
 import equinox as eqx
 import jax
@@ -21,11 +20,10 @@ from ...workpiece import Pose
 from .coupled_period import AbstractPeriodDynamics, CoupledPeriod, along
 from .machine import (
     AbstractMachine,
-    Engage,
     Period,
     PeriodRow,
     RunState,
-    engage_if_valid,
+    StockAccess,
 )
 
 
@@ -123,7 +121,7 @@ class AbstractInertialMachine(AbstractCompliant):
         process: Process,
         state: RunState,
         row: PeriodRow,
-        engage: Engage = engage_if_valid,
+        access: StockAccess = StockAccess(),
     ) -> tuple[RunState, Period]:
         """State after one tooth period, and its outputs.
 
@@ -140,7 +138,7 @@ class AbstractInertialMachine(AbstractCompliant):
         # As in the period before: what the teeth do comes again, and drifts are slow.
         drift = (pose.tip - state.process.last_tip)[None]
         predicted = along(pose, recent.tip[0] + drift)
-        cutting, removed = process.remove(state.process, row.period - 1, pose)
+        cutting, removed = access.remove(process, state.process, row.period - 1, pose)
         coupled = CoupledPeriod(process, dynamics, self.load_count)
         times = process.tooth_period * process.substep_middles(predicted.tip.dtype)
         rows, cut = coupled.rows(times, recent), None
@@ -155,7 +153,7 @@ class AbstractInertialMachine(AbstractCompliant):
                 look_up, state.machine, rows, recent, drift
             )
         else:
-            cut = engage(process, cutting, row, predicted)
+            cut = access.engage(process, cutting, row, predicted)
             move = lambda: coupled.run(state.machine, rows, predicted, cut)
         still = state.machine, coupled.standstill(predicted)
         end, substeps = if_valid(row.is_live, move, still)
@@ -168,7 +166,8 @@ class AbstractInertialMachine(AbstractCompliant):
             joint_positions=self.joint_positions(state.machine),
             removed=removed,
             has_failed=cutting.has_failed,
-            substeps=dataclasses.replace(substeps, engagement=cut),
+            substeps=substeps,
+            engagement=cut,
         )
 
     def motion(

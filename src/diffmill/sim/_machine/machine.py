@@ -20,7 +20,8 @@ from typing import Any, NamedTuple, TypeAlias
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int, PyTree
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, PyTree, Shaped
 
 from ..._arrays import first_rows
 from ..._padding import (
@@ -83,6 +84,19 @@ def engage_if_valid(
     return if_valid(row.is_live, engage)
 
 
+class StockAccess(NamedTuple):
+    """How a tooth period meets the stock: first it removes, then it looks.
+
+    Attributes:
+        engage: Returns the engagement of the period.
+        remove: Takes in the pose at its start and removes what lies behind by the
+            lag; called as `Process.remove`.
+    """
+
+    engage: Engage = engage_if_valid
+    remove: Callable[..., tuple[ProcessState, RemovedVolume]] = Process.remove
+
+
 class LoadedSubsteps(eqx.Module):
     """Sub-steps of a period.
 
@@ -95,7 +109,6 @@ class LoadedSubsteps(eqx.Module):
             the tip [N m], shape (*substep, load).
         force_range: Least and largest force at any angle in `work` [N], shape
             (*substep, 2, 3).
-        engagement: The edges in the stock; None where it was looked up several times.
     """
 
     predicted: Float[Array, "*substep 3"]
@@ -103,7 +116,6 @@ class LoadedSubsteps(eqx.Module):
     ends: Float[Array, "*substep 3"]
     loads: Float[Array, "*substep load"]
     force_range: Float[Array, "*substep 2 3"]
-    engagement: Engagement | None = None
 
     def whole_range(self) -> Float[Array, "2 3"]:
         """Least and largest force at any angle of the period [N], shape (2, 3)."""
@@ -124,6 +136,8 @@ class Period(eqx.Module):
         has_failed: Whether a flag of the process is up.
         samples: Force at every angle [N], shape (sample, 3), if it is asked for.
         substeps: Its sub-steps, of a compliant machine; a run does not record them.
+        engagement: The edges in the stock; None where it was looked up several times.
+            A run does not record it.
     """
 
     tip: Float[Array, " 3"]
@@ -135,6 +149,11 @@ class Period(eqx.Module):
     has_failed: Bool[Array, ""]
     samples: Float[Array, "sample 3"] | None = None
     substeps: LoadedSubsteps | None = None
+    engagement: Engagement | None = None
+
+    def recorded(self) -> "Period":
+        """The outputs that a run records."""
+        return dataclasses.replace(self, substeps=None, engagement=None)
 
 
 class TurnChips(eqx.Module):
@@ -206,7 +225,7 @@ class AbstractMachine(eqx.Module):
         process: Process,
         state: RunState,
         row: PeriodRow,
-        engage: Engage = engage_if_valid,
+        access: StockAccess = StockAccess(),
     ) -> tuple[RunState, Period]:
         """State after one tooth period, and its outputs.
 
@@ -214,8 +233,8 @@ class AbstractMachine(eqx.Module):
             process: The process.
             state: State at its start.
             row: The period, with its command of `rows`.
-            engage: Returns its engagement; a machine that looks up the stock several
-                times in a period takes the process's own.
+            access: How it meets the stock; a machine that looks up the stock several
+                times in a period takes the process's own engagement.
         """
 
     def run(
@@ -309,6 +328,8 @@ class AbstractMachine(eqx.Module):
         command: PyTree,
         state: RunState,
         row_count: IntScalar | None = None,
+        *,
+        in_blocks: Callable[..., PyTree] | None = None,
     ) -> "RunSegment":
         """Run some periods from where an earlier run ended.
 
@@ -319,6 +340,9 @@ class AbstractMachine(eqx.Module):
             state: State at row 0, of `begin_run` or of the segment before.
             row_count: How many rows count, of a segment that may end the run; its
                 periods are then whole parts, see `whole_parts`. All if not given.
+            in_blocks: Runs the periods with one look at the stock for several of them
+                where the cut is steady, called as `run_in_blocks` of `stretches.py`;
+                then without derivative in reverse mode. Each period looks if not given.
 
         Returns:
             The rows, and the state at the last of them; nothing of the queue is
@@ -346,13 +370,18 @@ class AbstractMachine(eqx.Module):
         start, end = first - 1, None
         if row_count is not None:
             end = start + jnp.asarray(row_count, jnp.int32)
-        ended, periods = _run_periods(self, process, started, first, rows, end)
-        final = self.pose(process, ended.machine)
-        last = last_row(count + 1, row_count)
-        joints = self.joint_positions(ended.machine)
         index = first + jnp.arange(count, dtype=jnp.int32)
         standing_rows = process.removal.standing_rows
         ran = count_run(live_rows(index, end), count, standing_rows)
+        if in_blocks is None:
+            ended, periods = _run_periods(self, process, started, first, rows, end)
+            looks = None
+        else:
+            every = PeriodRow(index, rows, live_rows(index, end))
+            ended, periods, looks = in_blocks(self, process, started, every, ran)
+        final = self.pose(process, ended.machine)
+        last = last_row(count + 1, row_count)
+        joints = self.joint_positions(ended.machine)
         removed = periods.removed
         cut_by = _cut_by(state, ended.process.stock, start)
         kept = _renumbered(ended.process, start - history + ran, history)
@@ -365,6 +394,7 @@ class AbstractMachine(eqx.Module):
             removed=dataclasses.replace(removed, pose=removed.pose - start),
             has_failed=periods.has_failed,
             standing_count=ran - last,
+            looks=None if looks is None else jax.tree.map(prepend_zeros, looks),
             state=RunState(kept, ended.machine, state.period_count + ran, cut_by),
         )
 
@@ -469,6 +499,37 @@ def outcome(ended: "ProcessState | RunEnd", is_finite: Bool[Array, ""]) -> RESUL
     return RESULTS.where(is_finite, result, RESULTS.non_finite)
 
 
+class Looks(NamedTuple):
+    """Looks at the stock in a run, for the tooth period before each instant.
+
+    Attributes:
+        is_look: Whether the stock was looked up, shape (step,).
+        miss: By how much the force found there is off the force of the engagement that
+            was held [N], shape (step,); zero elsewhere.
+    """
+
+    is_look: Bool[Array | np.ndarray, " step"]
+    miss: Float[Array | np.ndarray, " step"]
+
+    @staticmethod
+    def none(count: int, dtype: np.dtype) -> "Looks":
+        """Room for the looks of a run, on the host."""
+        return Looks(np.zeros(count, bool), np.zeros(count, dtype))
+
+    def force_error(self) -> Float[np.ndarray, " step"]:
+        """Estimate of what holding the engagement costs in force [N], on the host.
+
+        It grows from look to look up to what the later one finds, shape (step,).
+        """
+        is_look, miss = np.asarray(self.is_look), np.asarray(self.miss)
+        number = np.arange(is_look.size)
+        before = np.maximum.accumulate(np.where(is_look, number, 0))
+        before = np.concatenate([[0], before[:-1]])
+        behind = np.minimum.accumulate(np.where(is_look, number, number[-1])[::-1])
+        behind = behind[::-1]
+        return miss[behind] * (number - before) / np.maximum(behind - before, 1)
+
+
 class Run(eqx.Module):
     """Solution of a machine that cuts; rows are the tooth instants.
 
@@ -488,6 +549,7 @@ class Run(eqx.Module):
             [N], if it was asked for; sample j of n is that at the share (j + 1/2) / n
             of the period, shape (step, sample, 3).
         chips: Chips of the teeth in a revolution, if they were asked for.
+        looks: As of `RunSegment`.
     """
 
     time: Float[Array, " step"]
@@ -500,6 +562,7 @@ class Run(eqx.Module):
     removal: Removal | PendingRemoval
     instantaneous_force: Float[Array, "step sample 3"] | None = None
     chips: TurnChips | None = None
+    looks: Looks | None = None
 
     @property
     def removed_volume(self) -> Float[Array, " step"]:
@@ -567,6 +630,7 @@ class RunSegment(eqx.Module):
         standing_count: Periods run behind the last row that counts, in which the tool
             stands, shape ().
         state: State after them. What still waits for removal is in it.
+        looks: The looks at the stock of an adaptive run; None if each period looks.
     """
 
     actual: Float[Array, "step 3"]
@@ -578,6 +642,7 @@ class RunSegment(eqx.Module):
     has_failed: Bool[Array, " period"]
     standing_count: Int[Array, ""]
     state: RunState
+    looks: Looks | None = None
 
 
 class RunEnd(eqx.Module):
@@ -637,7 +702,7 @@ def _run_periods(
         state: RunState, row: PeriodRow, is_live: Array | None
     ) -> tuple[RunState, Period]:
         state, period = machine.period(process, state, row._replace(is_live=is_live))
-        return state, dataclasses.replace(period, substeps=None)
+        return state, period.recorded()
 
     # Removal looks at poses behind the last one, where the tool stands.
     return scan_rows(
@@ -678,7 +743,7 @@ def all_ends(periods: Period) -> Float[Array, "step substep 3"]:
     return jnp.concatenate([rest, periods.ends])
 
 
-def prepend_zeros(rows: Float[Array, "period ..."]) -> Float[Array, "step ..."]:
+def prepend_zeros(rows: Shaped[Array, "period ..."]) -> Shaped[Array, "step ..."]:
     """Rows with one of zeros in front."""
     return jnp.concatenate([jnp.zeros_like(rows[:1]), rows])
 

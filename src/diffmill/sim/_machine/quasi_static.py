@@ -33,12 +33,11 @@ from .bend import StaticDeflection, StaticEquilibrium, balance_with_gaps
 from .compliant import AbstractCompliant, CommandRow, PeriodMotion
 from .elastic import in_work, jacobian_in_work
 from .machine import (
-    Engage,
     LoadedSubsteps,
     Period,
     PeriodRow,
     RunState,
-    engage_if_valid,
+    StockAccess,
 )
 from .rigid import period_wrench, substep_ranges
 
@@ -91,15 +90,17 @@ class QuasiStaticArm(AbstractCompliant):
         process: Process,
         state: RunState,
         row: PeriodRow,
-        engage: Engage = engage_if_valid,
+        access: StockAccess = StockAccess(),
     ) -> tuple[RunState, Period]:
         """State after one tooth period, and its outputs."""
         start, dtype = state.machine, row.command.stop.dtype
         bend = self._deflection(process, start, row.command)
         middles, last = process.substep_middles(dtype), process.substep_ends(dtype)
         predicted = bend.expected(start.load, middles)
-        cutting, removed = process.remove(state.process, row.period - 1, start.pose)
-        cut = engage(process, cutting, row, predicted)
+        cutting, removed = access.remove(
+            process, state.process, row.period - 1, start.pose
+        )
+        cut = access.engage(process, cutting, row, predicted)
         size, recent = start.load.size, cutting.recent
         eye = jnp.eye(size, dtype=dtype)
 
@@ -140,9 +141,7 @@ class QuasiStaticArm(AbstractCompliant):
                 period_wrench(process, cut, tips, recent), middles.size
             ),
         )
-        moved = LoadedSubsteps(
-            predicted.tip, tips.tip, ends.tip, loads, force_range, cut
-        )
+        moved = LoadedSubsteps(predicted.tip, tips.tip, ends.tip, loads, force_range)
         return RunState(cutting, end, state.period_count), Period(
             tip=start.pose.tip,
             ends=ends.tip,
@@ -152,6 +151,7 @@ class QuasiStaticArm(AbstractCompliant):
             removed=removed,
             has_failed=cutting.has_failed,
             substeps=moved,
+            engagement=cut,
         )
 
     def motion(

@@ -22,13 +22,12 @@ from ...process import (
 from ...workpiece import Pose, Stock
 from .machine import (
     AbstractMachine,
-    Engage,
     Period,
     PeriodRow,
     Run,
     RunState,
+    StockAccess,
     TurnChips,
-    engage_if_valid,
 )
 
 
@@ -159,13 +158,15 @@ class Rigid(AbstractMachine):
         process: Process,
         state: RunState,
         row: PeriodRow,
-        engage: Engage = engage_if_valid,
+        access: StockAccess = StockAccess(),
     ) -> tuple[RunState, Period]:
         """State after one tooth period, and its outputs."""
         poses: PathRow = row.command
         before, chips, middles = state.machine, state.machine.chips, poses.middles
-        cutting, removed = process.remove(state.process, row.period - 1, poses.start)
-        cut, recent = engage(process, cutting, row, middles), cutting.recent
+        cutting, removed = access.remove(
+            process, state.process, row.period - 1, poses.start
+        )
+        cut, recent = access.engage(process, cutting, row, middles), cutting.recent
         wrench = if_valid(
             row.is_live, lambda: period_wrench(process, cut, middles, recent)
         )
@@ -193,6 +194,7 @@ class Rigid(AbstractMachine):
             removed=removed,
             has_failed=cutting.has_failed,
             samples=samples if self.keeps_instantaneous else None,
+            engagement=cut,
         )
 
 

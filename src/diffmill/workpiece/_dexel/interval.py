@@ -42,6 +42,35 @@ class CutInterval(eqx.Module):
     started: Int[Array, "..."]
     stopped: Int[Array, "..."]
 
+    @staticmethod
+    def none(like: Float[Array, "..."]) -> "CutInterval":
+        """Interval of rays that are not cut, as many as there are of some numbers."""
+        zero, tick = jnp.zeros_like(like), jnp.zeros(like.shape, jnp.int32)
+        return CutInterval(zero, zero, jnp.zeros(like.shape, bool), tick, tick)
+
+    def is_apart(self, other: "CutInterval", gap: Float[Array, ""]) -> Bool[Array, ""]:
+        """True if on a ray that both cut more than a gap [m] lies between them."""
+        far = (other.start > self.stop + gap) | (other.stop < self.start - gap)
+        return jnp.any(self.is_cut & other.is_cut & far)
+
+    def joined(self, other: "CutInterval", is_due: Bool[Array, ""]) -> "CutInterval":
+        """Interval from the lower start to the higher stop, gaps included.
+
+        Args:
+            other: The other interval.
+            is_due: Whether it counts, shape ().
+        """
+        is_cut = other.is_cut & is_due
+        has_start = is_cut & ~(self.is_cut & (self.start <= other.start))
+        has_stop = is_cut & ~(self.is_cut & (self.stop >= other.stop))
+        return CutInterval(
+            jnp.where(has_start, other.start, self.start),
+            jnp.where(has_stop, other.stop, self.stop),
+            self.is_cut | is_cut,
+            jnp.where(has_start, other.started, self.started),
+            jnp.where(has_stop, other.stopped, self.stopped),
+        )
+
     def subtract_from(
         self,
         ends: Float[Array, "*ray 2 slot"],

@@ -7,7 +7,7 @@ a step removes first and looks at the stock afterwards.
 
 import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -18,6 +18,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..._arrays import is_traced
 from ...cutter import AbstractCutter
+from ...numerics import materialise
 from .._pose import Pose
 from .interval import CutInterval
 from .stock import Rays, Stock
@@ -171,7 +172,6 @@ class RemovalWindow(eqx.Module):
         """
         centers = [each.center().frozen() for each in passes]
         grid = window_grid(stock, cutter, self, centers)
-        d = stock.spacing
         in_use = stock.slots_in_use() if slots is None else slots
         places = [grid.of_family(f) for f in (0, 1, 2)]
         windows = tuple(
@@ -188,7 +188,88 @@ class RemovalWindow(eqx.Module):
             windows, removed = jax.lax.scan(
                 lambda windows, due: subtract(windows, *due), windows, (each, is_due)
             )
-        volumes = jnp.zeros(len(passes), stock.origin.dtype)
+        is_beyond = jnp.any(grid.has_left_window & is_due) & jnp.any(removed.length > 0)
+        return self._cut_stock(stock, places, windows, removed, is_beyond)
+
+    def remove_together(
+        self,
+        stock: Stock,
+        cutter: AbstractCutter,
+        pass_of: Callable[[Int[Array, ""]], ToothPass],
+        count: Int[Array, ""],
+        *,
+        slots: Int[Array, " 3"],
+    ) -> tuple["CutStock", Int[Array, ""]]:
+        """Subtract the ways of teeth around the tool that overlap, in one interval.
+
+        From each ray it takes the interval from the lowest to the highest place that
+        any of them reaches; up to the first pass that leaves more between itself and
+        those before than the tool has gone.
+
+        Args:
+            stock: The workpiece.
+            cutter: The cutter.
+            pass_of: Returns a pass by its number.
+            count: How many passes there are, at least 1, shape ().
+            slots: Number of slots in use of each family, shape (3,).
+
+        Returns:
+            The stock with what the passes took and flags of trouble; and the number of
+            passes that are taken, at least 1.
+
+        **Differentiability**: in the ends of the stock, in forward mode.
+        """
+        one = pass_of(jnp.zeros((), jnp.int32))
+        first = one.center().frozen()
+        last = pass_of(count - 1).center().frozen()
+        grid = window_grid(stock, cutter, self, [first, last])
+        places = [grid.of_family(f) for f in (0, 1, 2)]
+        windows = tuple(
+            _Window.of(stock.families[f], places[f], slots[f]) for f in (0, 1, 2)
+        )
+        # Apart from the stock: read in one kernel with the cut it would be copied.
+        windows = materialise(windows)
+        removal = _PassRemoval(cutter, places, False, self.has_shank)
+
+        def add(gathered: _Gathered) -> _Gathered:
+            tooth = pass_of(gathered.count)
+            cuts = [
+                cut_interval(cutter, f, places[f].b, places[f].c, tooth)
+                for f in (0, 1, 2)
+            ]
+            tip = tooth.center().tip
+            way = jnp.sqrt(jnp.sum((tip - gathered.tip) ** 2))
+            pairs = list(zip(gathered.cuts, cuts, strict=True))
+            apart = [old.is_apart(new, way) for old, new in pairs]
+            is_apart = jnp.any(jnp.stack(apart))
+            joined = tuple(old.joined(new, ~is_apart) for old, new in pairs)
+            number = gathered.count + (~is_apart).astype(jnp.int32)
+            return _Gathered(joined, tip, number, is_apart | (number >= count))
+
+        begun = _Gathered(
+            tuple(CutInterval.none(place.b) for place in places),
+            first.tip,
+            jnp.zeros((), jnp.int32),
+            jnp.zeros((), bool),
+        )
+        gathered = jax.lax.while_loop(lambda g: ~g.is_whole, add, begun)
+        windows, removed = removal.take(windows, gathered.cuts, one)
+        removed = jax.tree.map(lambda x: x[None], removed)
+        is_beyond = jnp.any(grid.has_left_window) & jnp.any(removed.length > 0)
+        cut = self._cut_stock(stock, places, windows, removed, is_beyond)
+        return cut, gathered.count
+
+    def _cut_stock(
+        self,
+        stock: Stock,
+        places: Sequence["RayPlaces"],
+        windows: Sequence["_Window"],
+        removed: "_RemovedLengths",
+        has_left_window: Bool[Array, ""],
+    ) -> "CutStock":
+        """Stock with the rays of a window put back, and what was removed."""
+        d = stock.spacing
+        volumes = jnp.zeros(removed.length.shape[0], stock.origin.dtype)
         for f, weight in enumerate(stock.volume_weights):
             if weight:
                 volumes = volumes + removed.length[:, f] * weight * d**2
@@ -203,7 +284,7 @@ class RemovalWindow(eqx.Module):
             removed.by_shank * d**2,
             jnp.stack([window.in_use for window in windows]),
             jnp.any(removed.is_full),
-            jnp.any(grid.has_left_window & is_due) & jnp.any(removed.length > 0),
+            has_left_window,
         )
 
 
@@ -389,6 +470,12 @@ class _RemovedLengths(eqx.Module):
     by_shank: Float[Array, "*pass"]
     is_full: Bool[Array, "*pass 3"]
 
+    @staticmethod
+    def none(dtype: jnp.dtype) -> "_RemovedLengths":
+        """Nothing, by one pass."""
+        zero = jnp.zeros((), dtype)
+        return _RemovedLengths(jnp.stack([zero] * 3), zero, jnp.zeros(3, bool))
+
 
 class _PassRemoval(NamedTuple):
     """Removal of a pass from the rays of a window.
@@ -409,29 +496,39 @@ class _PassRemoval(NamedTuple):
         self, windows: tuple[_Window, ...], tooth: ToothPass, is_due: Bool[Array, ""]
     ) -> tuple[tuple[_Window, ...], _RemovedLengths]:
         """Windows without the pass, if it is due, and the lengths that it takes."""
-        subtract = _subtract_in_all if self.searches_all_slots else _subtract_in_use
-        none = jnp.zeros((), windows[0].ends.dtype)
 
         def cut() -> tuple[tuple[_Window, ...], _RemovedLengths]:
-            new_windows, lengths, full = [], [], []
-            by_shank = none
-            for f in (0, 1, 2):
-                _, b, c = self.places[f]
-                interval = cut_interval(self.cutter, f, b, c, tooth)
-                window, length, is_full = subtract(windows[f], interval)
-                new_windows.append(window)
-                lengths.append(length)
-                full.append(is_full)
-                if f == 2 and self.has_shank:
-                    by_shank = self._shank_length(windows[f], interval, tooth)
-            removed = _RemovedLengths(jnp.stack(lengths), by_shank, jnp.stack(full))
-            return tuple(new_windows), removed
+            cutter, places = self.cutter, self.places
+            cuts = [
+                cut_interval(cutter, f, places[f].b, places[f].c, tooth)
+                for f in (0, 1, 2)
+            ]
+            return self.take(windows, cuts, tooth)
 
         def skip() -> tuple[tuple[_Window, ...], _RemovedLengths]:
-            lengths, full = jnp.stack([none] * 3), jnp.zeros(3, bool)
-            return windows, _RemovedLengths(lengths, none, full)
+            return windows, _RemovedLengths.none(windows[0].ends.dtype)
 
         return jax.lax.cond(is_due, cut, skip)
+
+    def take(
+        self,
+        windows: tuple[_Window, ...],
+        cuts: Sequence[CutInterval],
+        tooth: ToothPass,
+    ) -> tuple[tuple[_Window, ...], _RemovedLengths]:
+        """Windows without an interval of each ray, and the lengths that are taken.
+
+        Args:
+            windows: The windows.
+            cuts: The intervals of each family.
+            tooth: A pass that cuts them, from which the shank is told.
+        """
+        subtract = _subtract_in_all if self.searches_all_slots else _subtract_in_use
+        new, lengths, full = zip(*map(subtract, windows, cuts), strict=True)
+        by_shank = jnp.zeros((), windows[2].ends.dtype)
+        if self.has_shank:
+            by_shank = self._shank_length(windows[2], cuts[2], tooth)
+        return new, _RemovedLengths(jnp.stack(lengths), by_shank, jnp.stack(full))
 
     def _shank_length(
         self, window: _Window, interval: CutInterval, tooth: ToothPass
@@ -455,6 +552,22 @@ class _PassRemoval(NamedTuple):
             ends[:, :, 0], low[..., None]
         )
         return jnp.sum(jnp.where(is_hit[..., None], jnp.maximum(piece, 0), 0))
+
+
+class _Gathered(eqx.Module):
+    """Intervals that passes cut together.
+
+    Attributes:
+        cuts: From each ray, the interval of the passes so far.
+        tip: Of the newest pass [m].
+        count: How many passes, shape ().
+        is_whole: True if no other pass comes in, shape ().
+    """
+
+    cuts: tuple[CutInterval, ...]
+    tip: Float[Array, " 3"]
+    count: Int[Array, ""]
+    is_whole: Bool[Array, ""]
 
 
 def _subtract_in_use(
