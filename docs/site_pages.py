@@ -2,23 +2,36 @@
 
 A hook of mkdocs: the start is the README's, tutorials are the notebooks, the keys of
 job files are read from the source of their schema, so that no page can drift from them.
+
+Notebooks are executed, which takes minutes; what they gave is kept in `out/notebooks`
+until they or the package change. `DIFFMILL_NOTEBOOKS=source` in the environment leaves
+their results out.
 """
 
 import ast
+import base64
+import concurrent.futures
 import functools
+import hashlib
 import json
+import logging
+import os
 import pathlib
 import re
+import subprocess
+import sys
 import tomllib
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import File, Files
 
 ROOT = pathlib.Path(__file__).parents[1]
 PACKAGE = ROOT / "src" / "diffmill"
 CONFIG = PACKAGE / "config"
+log = logging.getLogger("mkdocs.diffmill")
 AREAS = (
     *("cutter", "cutting", "workpiece", "toolpath", "robot", "process", "sim"),
     *("correction", "learning", "identification", "io", "config", "campaign", "viz"),
@@ -164,8 +177,16 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         ),
         "campaign_keys.md": keys_page("The keys of a campaign", "_campaign"),
     }
-    for notebook in sorted((ROOT / "notebooks").glob("*.ipynb")):
-        pages[f"notebook_{notebook.stem}.md"] = notebook_page(notebook)
+    notebooks = sorted((ROOT / "notebooks").glob("*.ipynb"))
+    if os.environ.get("DIFFMILL_NOTEBOOKS") == "source":
+        contents = [json.loads(file.read_text(encoding="utf-8")) for file in notebooks]
+    else:
+        contents = executed_notebooks(notebooks, ROOT / "out" / "notebooks")
+    for file, content in zip(notebooks, contents, strict=True):
+        name = f"notebook_{file.stem}.md"
+        pages[name], figures = notebook_page(content, file.stem)
+        for picture, data in figures.items():
+            files.append(File.generated(config, picture, content=data))
     for name, text in pages.items():
         files.append(File.generated(config, name, content=text))
     return files
@@ -202,20 +223,98 @@ def built_in_page() -> str:
     return "\n".join(lines) + "\n"
 
 
-def notebook_page(file: pathlib.Path) -> str:
-    """Return a notebook as a page, its results left out: they need its run."""
-    lines = []
-    for cell in json.loads(file.read_text(encoding="utf-8"))["cells"]:
-        text = "".join(cell["source"])
-        if cell["cell_type"] == "code":
-            text = f"```py\n{text.replace('%matplotlib inline', '').strip()}\n```"
-        lines += [text, ""]
+def notebook_page(notebook: dict[str, Any], name: str) -> tuple[str, dict[str, bytes]]:
+    """Return a notebook as a page, and its figures by the names of their files.
+
+    Args:
+        notebook: The notebook, executed or not.
+        name: Its name.
+    """
+    lines: list[str] = []
+    figures: dict[str, bytes] = {}
+    for cell in notebook["cells"]:
+        text = "".join(cell["source"]).replace("%matplotlib inline\n", "").strip()
+        if cell["cell_type"] == "markdown":
+            lines += [text, ""]
+        elif text:
+            lines += [f"```py\n{text}\n```", ""]
+        for output in cell.get("outputs", []):
+            if image := output.get("data", {}).get("image/png"):
+                file = f"notebook_{name}_{len(figures) + 1}.png"
+                figures[file] = base64.b64decode(image)
+                lines += [f"![Figure of the cell above]({file})", ""]
+            elif told := text_of(output):
+                lines += [f"```text\n{told}\n```", ""]
         if len(lines) == 2:
-            lines += [
-                f"*`notebooks/{file.name}`, to be opened with `jupyter lab`.*",
-                "",
-            ]
-    return "\n".join(lines)
+            how = f"`notebooks/{name}.ipynb`, to be opened with `jupyter lab`"
+            more = "" if is_executed(notebook) else "; not executed for this site"
+            lines += [f"*{how}{more}.*", ""]
+    return "\n".join(lines), figures
+
+
+def text_of(output: dict[str, Any]) -> str:
+    """Return what a cell printed on the standard output, or its value, as text."""
+    if output["output_type"] == "stream" and output["name"] == "stdout":
+        return "".join(output["text"]).rstrip()
+    text = "".join(output.get("data", {}).get("text/plain", ""))
+    # The value of a call that draws: its figure follows.
+    return "" if re.match(r"<|\[<|Text\(", text) else text
+
+
+def is_executed(notebook: dict[str, Any]) -> bool:
+    """Return whether a cell of a notebook has been executed."""
+    return any(cell.get("execution_count") for cell in notebook["cells"])
+
+
+def executed_notebooks(files: list[pathlib.Path], folder: pathlib.Path) -> list[dict]:
+    """Execute notebooks, two at a time, or take them from an earlier build.
+
+    Args:
+        files: The notebooks.
+        folder: Where executed ones are kept, by a digest of all that they depend on.
+
+    Raises:
+        PluginError: A cell raises.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    with concurrent.futures.ThreadPoolExecutor(2) as pool:
+        return list(pool.map(functools.partial(executed, folder=folder), files))
+
+
+def executed(file: pathlib.Path, folder: pathlib.Path) -> dict[str, Any]:
+    """Execute one notebook, or take it from an earlier build."""
+    digest = sources_digest()
+    digest.update(file.read_bytes())
+    kept = folder / f"{file.stem}-{digest.hexdigest()[:16]}.ipynb"
+    if not kept.exists():
+        log.info("Executing %s", file.name)
+        run = "from nbclient.cli import main; main()"
+        made = folder / f"{file.stem}.part.ipynb"
+        options = ["--timeout=1800", "--kernel_name=python3", f"--output={made}"]
+        done = subprocess.run(
+            [sys.executable, "-c", run, *options, str(file)],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        if done.returncode:
+            raise PluginError(f"{file.name} cannot be executed:\n{done.stderr}")
+        for old in folder.glob(f"{file.stem}-*.ipynb"):
+            old.unlink()
+        made.rename(kept)
+    return json.loads(kept.read_text(encoding="utf-8"))
+
+
+def sources_digest() -> Any:
+    """Return a digest of the package, its versions and the data that notebooks read."""
+    digest = hashlib.sha256(os.environ.get("DIFFMILL_REFERENCE_DATA", "").encode())
+    # The notebooks about learning take the jobs of its experiment.
+    folders = (PACKAGE, ROOT / "experiments" / "learning")
+    files = [file for folder in folders for file in folder.rglob("*") if file.is_file()]
+    for file in sorted([ROOT / "constraints.txt", *files]):
+        if file.suffix != ".pyc":
+            digest.update(str(file.relative_to(ROOT)).encode() + file.read_bytes())
+    return digest
 
 
 def python_page() -> str:
@@ -298,12 +397,14 @@ def keys_page(title: str, folder: str, besides: str = "") -> str:
         _, *more = (ast.get_docstring(table) or "").split("\n", 1)
         more = more if not is_settings(table) else []
         lines += ["", f"## {heading_of(table)}", "", *more, ""]
+        lines += ['<div class="keys" markdown>', ""]
         lines += ["| key | value | default | meaning |", "|---|---|---|---|"]
         for field in keys(table):
             row = [f"`{key_name(field)}`", kind(field.annotation).words]
             row += [default(field), meaning(field)]
             cells = (re.sub(r"[|*]", r"\\\g<0>", cell) for cell in row)
             lines.append(f"| {' | '.join(cells)} |")
+        lines += ["", "</div>"]
     return "\n".join(lines) + "\n"
 
 

@@ -75,9 +75,13 @@ class Page:
         self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **more)
         self.settle()
 
-    def screenshot(self, path):
-        """Write the window as it is seen."""
-        data = self.call("Page.captureScreenshot")["data"]
+    def screenshot(self, path, *, box=None):
+        """Write the window as it is seen, or a box of the page: x, y, width, height."""
+        options = {}
+        if box is not None:
+            clip = dict(zip(("x", "y", "width", "height"), box, strict=True), scale=1)
+            options = {"clip": clip, "captureBeyondViewport": True}
+        data = self.call("Page.captureScreenshot", **options)["data"]
         path.write_bytes(base64.b64decode(data))
 
     def pdf(self):

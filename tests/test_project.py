@@ -1,14 +1,17 @@
 """The repository as a whole: pins, imports, and commands that must not drift apart."""
 
 import json
+import os
 import pathlib
 import re
+import runpy
 import shutil
 import subprocess
 import sys
 import tomllib
 
 import pytest
+from browser import browser
 
 from diffmill import load_job
 
@@ -133,8 +136,13 @@ def test_python_of_the_readme_runs():
 def test_documentation_builds_without_a_warning_and_fetches_nothing(tmp_path):
     pytest.importorskip("mkdocs")
     command = [sys.executable, "-m", "mkdocs", "build", "--strict"]
-    subprocess.run([*command, "--site-dir", tmp_path], cwd=ROOT, check=True)
-    pages = {file.stem: file.read_text("utf-8") for file in tmp_path.glob("*.html")}
+    # Continuous integration executes the notebooks when it builds the documentation.
+    environment = {**os.environ, "DIFFMILL_NOTEBOOKS": "source"}
+    folder = tmp_path / "site"
+    subprocess.run(
+        [*command, "--site-dir", folder], cwd=ROOT, check=True, env=environment
+    )
+    pages = {file.stem: file.read_text("utf-8") for file in folder.glob("*.html")}
     for text in pages.values():
         assert not re.findall(r'<script[^>]*src="https?:', text)
         assert not re.findall(r'<link[^>]*stylesheet[^>]*href="https?:', text)
@@ -145,6 +153,96 @@ def test_documentation_builds_without_a_warning_and_fetches_nothing(tmp_path):
     assert "controller can follow" in key[0]
     assert 'id="diffmill.correction.correct"' in pages["python"]
     assert "<code>contour_error</code>" in pages["derivatives"]
+    assert "not executed for this site" in pages["notebook_quick_start"]
+    with browser(tmp_path / "browser") as page:
+        check_search(page, folder / "index.html")
+        for name in pages.keys() - {"404"}:
+            page.open(folder / f"{name}.html", width=390, height=800)
+            assert page.value("document.documentElement.scrollWidth") <= 390, name
+            assert page.complaints == [], name
+            assert all(url.startswith(("file:", "data:")) for url in page.requests)
+
+
+def check_search(page, start):
+    """Search for a word without a server, and follow what is found to its heading."""
+    page.open(start)
+    page.value("""(() => {
+        const field = document.querySelector("[data-md-component=search-query]");
+        field.focus();
+        field.value = "process damping";
+        field.dispatchEvent(new KeyboardEvent("keyup"));
+    })()""")
+    found = """new Promise((resolve) => {
+        const look = () => {
+            const link = document.querySelector(".md-search-result__item a");
+            link ? resolve(link.href) : setTimeout(look, 100);
+        };
+        look();
+    })"""
+    link = page.value(found).removeprefix(start.parent.as_uri() + "/")
+    file = start.parent / link.split("#")[0].split("?")[0]
+    assert "process damping" in file.read_text("utf-8").lower()
+
+
+@pytest.fixture(scope="module")
+def site_pages():
+    pytest.importorskip("mkdocs")
+    return runpy.run_path(str(ROOT / "docs" / "site_pages.py"))
+
+
+def cell(source, outputs=()):
+    return {
+        "cell_type": "code",
+        "execution_count": None,
+        "id": f"cell{len(source)}",
+        "metadata": {},
+        "outputs": list(outputs),
+        "source": source,
+    }
+
+
+def notebook(*cells):
+    """A notebook with a title and cells of code."""
+    title = {"cell_type": "markdown", "id": "title", "metadata": {}, "source": "# One"}
+    version = {"nbformat": 4, "nbformat_minor": 5}
+    return {"cells": [title, *cells], "metadata": {}, **version}
+
+
+def test_a_notebook_is_executed_once_and_its_figures_are_on_its_page(
+    site_pages, tmp_path
+):
+    pytest.importorskip("nbclient")
+    file = tmp_path / "one.ipynb"
+    draw = "%matplotlib inline\nimport matplotlib.pyplot as plt\n_ = plt.plot([1, 2])"
+    file.write_text(json.dumps(notebook(cell(draw), cell("print(6 * 7)"))))
+    kept = tmp_path / "kept"
+    kept.mkdir()
+    found = site_pages["executed"](file, kept)
+    text, figures = site_pages["notebook_page"](found, "one")
+    assert "```text\n42\n```" in text
+    assert "not executed" not in text
+    assert "%matplotlib" not in text
+    (name,) = figures
+    assert f"]({name})" in text
+    assert figures[name].startswith(b"\x89PNG")
+    (stored,) = kept.iterdir()
+    stored.write_text(stored.read_text().replace("42", "43"))
+    again = site_pages["executed"](file, kept)
+    assert "43" in site_pages["notebook_page"](again, "one")[0]
+    # Another notebook of that name takes its place.
+    file.write_text(json.dumps(notebook(cell("print(1)"))))
+    site_pages["executed"](file, kept)
+    assert [path.name for path in kept.iterdir()] != [stored.name]
+
+
+def test_a_notebook_that_fails_ends_the_build_of_the_site(site_pages, tmp_path):
+    pytest.importorskip("nbclient")
+    from mkdocs.exceptions import PluginError
+
+    file = tmp_path / "one.ipynb"
+    file.write_text(json.dumps(notebook(cell("1 / 0"))))
+    with pytest.raises(PluginError, match="ZeroDivision"):
+        site_pages["executed_notebooks"]([file], tmp_path / "kept")
 
 
 def test_continuous_integration_runs_the_commands_of_the_readme():
