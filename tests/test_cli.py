@@ -539,6 +539,30 @@ def test_a_script_runs_on_one_thread_unless_told(tmp_path, given, found):
     assert python(script, env=home, check=True).stdout.strip() == found
 
 
+# A constant that XLA takes seconds to fold, of which it warns in a box.
+SLOW_CONSTANT = """
+import jax, jax.numpy as jnp
+import diffmill as dm
+{}
+window = lambda x: jax.lax.reduce_window(
+    x, 0.0, jax.lax.add, (120, 120), (1, 1), "SAME"
+)
+print(jax.jit(lambda: jnp.sin(window(2 * jnp.ones((300, 300)))))().shape)
+"""
+
+
+@pytest.mark.slow
+def test_a_slow_compilation_puts_no_box_on_the_standard_error(tmp_path):
+    home = {"XDG_CACHE_HOME": str(tmp_path), "HOME": str(tmp_path)}
+    loud, quiet = (
+        python(SLOW_CONSTANT.format(call), env=home, check=True)
+        for call in ("", "dm.use_compile_cache()")
+    )
+    assert loud.stdout == quiet.stdout == "(300, 300)\n"
+    assert "slow_operation_alarm" in loud.stderr
+    assert quiet.stderr == ""
+
+
 def test_cache_folder_and_precision(tmp_path):
     # A job without its program: it is read for its precision first.
     (tmp_path / "job.toml").write_text(JOB + '[simulation]\nprecision = "float32"\n')

@@ -112,27 +112,30 @@ def test_a_failing_analysis_or_figure_loses_no_run(folder, monkeypatch, capsys):
 
 
 @pytest.mark.slow
-def test_a_long_step_says_now_and_then_that_it_goes_on(folder, monkeypatch, capsys):
+def test_a_log_has_one_line_a_stage_and_one_if_it_compiles(folder, monkeypatch, capsys):
     event = "/jax/core/compile/backend_compile_duration"
 
     def simulate(job, *, on_progress, **options):
         on_progress("rigid cut", 0.0)
         jax.monitoring.record_scalar(event, 0.0)
-        time.sleep(10)
-        jax.monitoring.record_event_duration_secs(event, 10.0)
+        time.sleep(20)
+        jax.monitoring.record_event_duration_secs(event, 20.0)
         on_progress("robot and cut", 0.4)
-        time.sleep(10)
+        time.sleep(20)
         return fake_simulate(job, on_progress=on_progress)
 
     monkeypatch.setattr(sim, "simulate", simulate)
     monkeypatch.setattr(viz, "figure_inputs", fail)
     main(["simulate", "job.toml"])
     said = capsys.readouterr().err
-    first, second, third, fourth = re.findall(r"^ *(\d+\.\d) s +(.+)$", said, re.M)[:4]
+    told = re.findall(r"^ *(\d+\.\d) s +(.+)$", said, re.M)
+    # Reading the job may have a line of its own.
+    told = told[[text for _, text in told].index("0 %  rigid cut") :]
+    first, second, third = told[:3]
     assert first[1] == "0 %  rigid cut"
     assert second[1].startswith("0 %  rigid cut: compiling") and float(second[0]) > 5
-    assert third[1] == fourth[1] == "40 %  robot and cut"
-    assert float(fourth[0]) > float(third[0]) + 5
+    assert third[1] == "40 %  robot and cut"
+    assert sum("robot and cut" in text for _, text in told) == 1
 
 
 def test_results_are_there_before_anything_is_analysed(folder, monkeypatch, capsys):

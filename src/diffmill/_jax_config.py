@@ -24,6 +24,8 @@ _FLAGS = (
     "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=10000000",
 )
 _KNOWN = "0.10."
+# Level of XLA's log that hides its boxes on slow compilation; JAX sets 1 at its import.
+_QUIET_LOG, _DEFAULT_LOG = 3, "1"
 
 
 def configure_jax(precision: str = "float64") -> str:
@@ -76,7 +78,8 @@ def use_compile_cache(folder: str | os.PathLike[str] | None = None) -> str:
     A script or notebook calls this before anything is computed; commands always keep
     theirs, and both find what the other has compiled. XLA then takes one thread, which
     suits a simulation best, unless `NPROC` in the environment says how many, and so
-    does LAPACK unless `OPENBLAS_NUM_THREADS` does.
+    does LAPACK unless `OPENBLAS_NUM_THREADS` does. XLA no longer warns of slow
+    compilation, unless `TF_CPP_MIN_LOG_LEVEL` sets its level.
 
     Args:
         folder: The folder; if not given, that of `JAX_COMPILATION_CACHE_DIR`, or
@@ -91,6 +94,7 @@ def use_compile_cache(folder: str | os.PathLike[str] | None = None) -> str:
     import jax
 
     limit_threads()
+    hide_compiler_alarms()
     if jax.__version__.startswith(_KNOWN):
         given = os.environ.get("XLA_FLAGS", "").split()
         # What is given counts: the last of two flags does.
@@ -110,6 +114,20 @@ def use_compile_cache(folder: str | os.PathLike[str] | None = None) -> str:
     jax.config.update("jax_compilation_cache_dir", place)
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
     return place
+
+
+def hide_compiler_alarms() -> None:
+    """Keep XLA's boxes of asterisks about slow compilation off the standard error.
+
+    The display of progress says that something is compiled, and a fault of the compiler
+    is raised. `TF_CPP_MIN_LOG_LEVEL` in the environment, if it is not 1, is left alone.
+    """
+    if os.environ.get("TF_CPP_MIN_LOG_LEVEL", _DEFAULT_LOG) != _DEFAULT_LOG:
+        return
+    with contextlib.suppress(ImportError, AttributeError):
+        from jaxlib import utils
+
+        utils.absl_set_min_log_level(_QUIET_LOG)
 
 
 def _refuse_shared(place: str) -> None:

@@ -141,7 +141,10 @@ def test_paths_of_a_stack_are_as_long_as_the_longest(slides):
 
 @pytest.mark.slow
 def test_the_gradient_of_a_job_is_that_of_differences(slides):
-    fit = residual(slides)
+    told = []
+    fit = residual(slides, on_progress=lambda *said: told.append(said))
+    count = slides.path.step_count
+    assert told[0] == (f"rigid cut: {count} tooth periods", 0.0)
     rng = np.random.default_rng(0)
     x = 0.02 * jnp.asarray(rng.normal(size=fit.start.shape))
     v = jnp.asarray(rng.normal(size=x.shape))

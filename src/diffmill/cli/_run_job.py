@@ -380,12 +380,15 @@ def _compute(
         text = f"{message}: weighted error {rms * 1e6:.2f} um rms"
         progress.update(text, then=f"after {message}")
 
-    progress.update("uncorrected path")
+    def tell_run(message: str, share: float) -> None:
+        progress.update(f"uncorrected path: {message}", share)
+
     with bad_correction(job.name, "to correct"):
         return correct(
             job,
             on_predicted=on_predicted,
             on_progress=tell,
+            on_run_progress=tell_run,
             on_checkpoint=write_checkpoint,
             resume=checkpoint.resumed,
         )

@@ -12,7 +12,7 @@ from .._expected import spelled
 
 # A shorter compilation gets no line [s].
 _LEAST_COMPILATION = 0.2
-# Without a terminal a line says every so often that something still goes on [s].
+# In a log a stage that has no line yet, or compiles, gets one after this time [s].
 _LONGEST_SILENCE = 8.0
 # Steps of a run, by the latest of which the time left is told; the first one compiles.
 _LATEST, _LEAST_STEPS = 5, 2
@@ -20,7 +20,7 @@ _COMPILE_EVENT = "/backend_compile_duration"
 
 
 class Progress:
-    """A status line on a terminal; one line per message where there is none.
+    """A status line on a terminal; one line per stage where there is none.
 
     Attributes:
         is_quiet: True to show nothing.
@@ -46,6 +46,7 @@ class Progress:
         # Share done, and when; time for all of the run, at the pace of each step [s].
         self._done, self._paces = (0.0, self._start), list[float]()
         self._message, self._compiling, self._said = "starting", 0, 0.0
+        self._named = set[str]()
         self._is_over = threading.Event()
 
     def __enter__(self) -> "Progress":
@@ -60,6 +61,7 @@ class Progress:
         jax.monitoring.register_event_duration_secs_listener(self._compiled)
         self._has_begun = True
         self._message, self._compiling = "starting", 0
+        self._named.clear()
         if not self.is_quiet:
             if self._console.is_terminal:
                 self._status.start()
@@ -98,6 +100,7 @@ class Progress:
             part, left = f"{100 * share:3.0f} %  ", self._remaining_time(share)
         self._show(f"{part}{message}{left}", stays=self.is_verbose)
         self._message = f"{part}{then or message}"
+        self._named.add(self._message)
 
     def _remaining_time(self, share: float) -> str:
         """Words on the time left at the pace of the latest steps; none at the ends."""
@@ -138,12 +141,16 @@ class Progress:
             self._console.print(text, markup=False)
 
     def _refresh(self) -> None:
-        """Show the present step now and then: on a terminal every second."""
-        every = 1.0 if self._console.is_terminal else _LONGEST_SILENCE
+        """Show the present step: every second on a terminal, once in a log."""
+        is_terminal = self._console.is_terminal
+        every = 1.0 if is_terminal else _LONGEST_SILENCE
         while not self._is_over.wait(0.2 * every):
-            if time.perf_counter() - self._said > every:
-                what = ": compiling, once for jobs of this kind"
-                self._show(self._message + what * bool(self._compiling), stays=False)
+            what = ": compiling, once for jobs of this kind" if self._compiling else ""
+            text = self._message + what
+            is_due = time.perf_counter() - self._said > every
+            if is_due and (is_terminal or text not in self._named):
+                self._named.add(text)
+                self._show(text, stays=False)
 
     def _compiles(self, event: str, value: float | int, **kwargs: str | int) -> None:
         """Note that XLA begins to compile a program."""

@@ -149,6 +149,7 @@ def correct(
     throw: bool = True,
     on_predicted: Callable[[Solution], None] | None = None,
     on_progress: OnProgress | None = None,
+    on_run_progress: Callable[[str, float], None] | None = None,
     on_checkpoint: OnCheckpoint | None = None,
     resume: Arrays | None = None,
 ) -> Correction:
@@ -177,6 +178,7 @@ def correct(
         on_predicted: Called with the solution of the uncorrected program, before any
             method runs.
         on_progress: Called with a message and the rms contour error so far [m].
+        on_run_progress: Called as by `simulate`, while the uncorrected program runs.
         on_checkpoint: Called with all that is needed to go on, plain arrays by name:
             after every method, every step of Gauss-Newton on a whole path, and every
             segment of a long one.
@@ -224,7 +226,7 @@ def correct(
     with record.timed_preparation():
         job, before = jax.block_until_ready(
             simulate_with_slot_growth(
-                job, desired, adjoint, lambda message, share: None
+                job, desired, adjoint, on_run_progress or (lambda message, share: None)
             )
         )
     if throw:

@@ -1,6 +1,7 @@
 """A job as pure functions for optimisers of other packages."""
 
 import dataclasses
+from collections.abc import Callable
 
 import jax.numpy as jnp
 
@@ -26,6 +27,7 @@ def residual(
     knot_spacing: float | None = None,
     smoothness: RealScalarLike = 1e-2,
     lag_weight: RealScalarLike = 0.03,
+    on_progress: Callable[[str, float], None] | None = None,
 ) -> OffsetResidual:
     """Correction of a job as pure functions, their arguments and a start.
 
@@ -48,6 +50,7 @@ def residual(
         knot_spacing: Smallest spacing of the knots [s]; that of the job if not given.
         smoothness: Weight of the roughness, see `GaussNewton`.
         lag_weight: Weight of the deviation along the path, see `GaussNewton`.
+        on_progress: Called as by `simulate`, while the uncorrected program runs.
 
     Raises:
         SimulationFailed: The run of the uncorrected program fails.
@@ -64,7 +67,10 @@ def residual(
         job = checked_job(job)
         adjoint = ThroughPoses()
         job, before = simulate_with_slot_growth(
-            job, jnp.asarray(job.path.positions), adjoint, lambda message, share: None
+            job,
+            jnp.asarray(job.path.positions),
+            adjoint,
+            on_progress or (lambda message, share: None),
         )
         before.raise_unless_successful(job)
         task = CorrectionProblem.of(job, before, adjoint, objective=objective)

@@ -438,7 +438,7 @@ def simulate_with_slot_growth(
                 on_progress(f"{name} again: {grown.notes[-1]}", share)
             return more
 
-        on_progress(name, first)
+        on_progress(f"{name}: {count} tooth periods", first)
         kept = checkpoint._replace(run=name)
         plan = SegmentPlan(segment_periods, on_rows, more_slots, kept, is_adaptive)
         while True:
