@@ -259,8 +259,8 @@ def text_of(output: dict[str, Any]) -> str:
     if output["output_type"] == "stream" and output["name"] == "stdout":
         return "".join(output["text"]).rstrip()
     text = "".join(output.get("data", {}).get("text/plain", ""))
-    # The value of a call that draws: its figure follows.
-    return "" if re.match(r"<|\[<|Text\(", text) else text
+    # The value of a call that draws, whose figure follows, or a folder of this machine.
+    return "" if re.match(r"<|\[<|Text\(|'/", text) else text
 
 
 def is_executed(notebook: dict[str, Any]) -> bool:
