@@ -23,6 +23,8 @@ from diffmill.io import write_path_csv
 ROOT = pathlib.Path(__file__).parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
 GLOSSARY = ROOT / "docs" / "glossary.md"
+# Words of a sentence that readers who are no native speakers still follow.
+LONGEST_SENTENCE = 35
 # Right, but near to a word that is often meant: to and fro, statics, a collet, a name,
 # and words of robot languages and of other tongues that are read.
 RIGHT = {"fro", "statics", "collet", "numer"}
@@ -113,6 +115,56 @@ def prose(page: pathlib.Path) -> str:
     text = page.read_text(encoding="utf-8")
     text = re.sub(r"^```.*?^```$", "", text, flags=re.DOTALL | re.MULTILINE)
     return re.sub(r"^(?: {4}.*\n)+", "", text, flags=re.MULTILINE)
+
+
+def sentences(page: pathlib.Path) -> list[str]:
+    """Return the sentences of a page: cells of tables and entries of lists end one.
+
+    A name in code counts as one word.
+    """
+    text = re.sub(r"!?\[([^\]]*)\]\([^)]*\)", r"\1", prose(page))
+    text = re.sub(r"`[^`]*`", "code", text)
+    blocks = re.split(r"\n\s*\n|\n(?=\s*(?:[-*] |\d+\. |\||#))", text)
+    cells = [
+        cell
+        for block in blocks
+        if not block.startswith("#")
+        for cell in (block.split("|") if block.lstrip().startswith("|") else [block])
+    ]
+    end = r"(?<=[.!?])[*\"')]*\s+(?=[A-Z*\"(\[]|code)"
+    return [" ".join(part.split()) for cell in cells for part in re.split(end, cell)]
+
+
+def words(sentence: str) -> int:
+    return len(re.findall(r"[A-Za-z0-9][\w'.^/-]*", sentence))
+
+
+def is_long(sentence: str) -> bool:
+    return words(sentence) > LONGEST_SENTENCE
+
+
+def test_a_sentence_ends_at_its_point(tmp_path):
+    page = tmp_path / "page.md"
+    page.write_text(
+        "# A heading\n\nOne is 2.5 mm, as in `a. B`. Two words.\n`c` is three.\n\n"
+        "| key | what it is. It is |\n|---|---|\n\n- an entry\n- [more](x.md)\n\n"
+        "```sh\nno sentence\n```\n"
+    )
+    found = [sentence for sentence in sentences(page) if words(sentence)]
+    assert found == [
+        *("One is 2.5 mm, as in code.", "Two words.", "code is three."),
+        *("key", "what it is.", "It is", "- an entry", "- more"),
+    ]
+    assert is_long("a " * 36) and not is_long("a " * 35)
+
+
+def test_sentences_are_short():
+    readme = [sentence for sentence in sentences(ROOT / "README.md")]
+    assert list(filter(is_long, readme)) == []
+    docs = [page for page in PAGES if page.parent.name == "docs"]
+    told = [s for page in docs for s in sentences(page) if words(s)]
+    found = list(filter(is_long, told))
+    assert len(found) < 0.02 * len(told), found
 
 
 def glossary_words() -> set[str]:
