@@ -66,7 +66,7 @@ _Band = Annotated[
     str | None,
     tyro.conf.arg(
         metavar="LENGTH",
-        help='Contour error to hold the result against, such as "20 um", in place of '
+        help='Contour error to compare the result with, such as "20 um", in place of '
         "that of the job.",
     ),
 ]
@@ -354,7 +354,7 @@ def robot(
         tyro.conf.arg(
             metavar="MODEL",
             help="A built-in model, a robot file (.toml, .urdf), or a job, whose robot "
-            "carries its tool and stands half-way through the path.",
+            "carries its tool and is half-way through the path.",
         ),
     ],
     *,
@@ -440,7 +440,7 @@ def new(
     force: _Force = False,
     shown: _Shown = _Display(),
 ) -> int:
-    """Write a commented job for a program; ask on a terminal for what it lacks."""
+    """Write a commented job for a program; a terminal prompts for missing values."""
     from ._new import run_new
 
     can_ask = sys.stdin.isatty() and sys.stdout.isatty()
@@ -490,11 +490,15 @@ def check(
 def convert(
     source: Annotated[
         tyro.conf.Positional[pathlib.Path],
-        tyro.conf.arg(metavar="IN", help="A program or a path, told by its suffix."),
+        tyro.conf.arg(
+            metavar="IN", help="A program or path; its suffix is its format."
+        ),
     ],
     target: Annotated[
         tyro.conf.Positional[pathlib.Path],
-        tyro.conf.arg(metavar="OUT", help="The file to write; its suffix tells how."),
+        tyro.conf.arg(
+            metavar="OUT", help="The file to write; its suffix is its format."
+        ),
     ],
     *,
     tolerance: Annotated[

@@ -313,7 +313,7 @@ class CorrectionSettings(Settings, table="correction"):
         default=0.0,
     )
     tolerance_band: Leaf[PositiveLength] = key(
-        'contour error that the report holds the result against, such as "20 um"; '
+        'contour error with which the report compares the result, such as "20 um"; '
         "changes nothing else, and is tolerance if left out",
         default=0.0,
         follows=True,
@@ -343,14 +343,14 @@ class CorrectionSettings(Settings, table="correction"):
     )
     max_acceleration: Acceleration = key(
         'largest acceleration of the whole command per axis, such as "2 m/s^2"; if '
-        "left out, acceleration_factor holds",
+        "left out, acceleration_factor counts",
         default=math.inf,
         works_with=_HELD,
     )
     acceleration_factor: Factor = key(
         "how many times as much as the program the command may accelerate; inf: no "
         "limit. If left out 2, but no limit beside max_acceleration, with a recorded "
-        "path and with a method that holds none",
+        "path and with a method that keeps none",
         default=math.inf,
         follows=True,
         works_with=_HELD,

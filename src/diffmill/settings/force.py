@@ -96,7 +96,7 @@ class KienzleSettings(ForceLawSettings, name="kienzle"):
         'axial edge coefficient, such as "3.0 N/mm"', default=0.0
     )
     reference_thickness: PositiveLength = key(
-        "chip thickness h_1 at which K_tc11, K_rc11 and K_ac11 hold", default=1e-3
+        "chip thickness h_1 of K_tc11, K_rc11 and K_ac11", default=1e-3
     )
     least_thickness: PositiveLength = key(
         "chip thickness below which a cutting coefficient follows its tangent",

@@ -147,7 +147,7 @@ class SimulationSettings(Settings, table="simulation"):
     )
     substeps: Annotated[StrictInt, Field(ge=1, le=1000)] = key(
         "steps of the machine in a tooth period; if left out 0.5 ms long at most, and "
-        "as short as the modes of the machine ask",
+        "as short as the modes of the machine need",
         follows=True,
     )
     element_height: PositiveLength = key(
@@ -205,7 +205,7 @@ class SimulationSettings(Settings, table="simulation"):
         name="sensitivity",
     )
     stability: Stability = key(
-        "true: chatter is looked for along the whole path; quick: only where most is "
+        "true: chatter is examined along the whole path; quick: only where most is "
         "cut; false: nowhere",
         default="quick",
     )

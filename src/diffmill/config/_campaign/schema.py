@@ -16,13 +16,13 @@ Factor: TypeAlias = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 class SweepTable(TomlTable):
     """`[[sweep]]` of a campaign: a key of the job and the values that it takes.
 
-    Either `values`, what the job may hold there, or `factors` of the value that it
+    Either `values`, what the job may have there, or `factors` of the value that it
     holds, for a list of each entry.
     """
 
     key: Key = Field(description='a key of the job, such as "spindle.speed"')
     values: Annotated[list[object], Field(min_length=1)] | None = Field(
-        None, description='what the job may hold there, such as ["50 mm/s", "60 mm/s"]'
+        None, description='what the job may have there, such as ["50 mm/s", "60 mm/s"]'
     )
     factors: Annotated[list[Factor], Field(min_length=1)] | None = Field(
         None, description="what the job's own value is multiplied by, such as [0.5, 1]"
@@ -78,7 +78,7 @@ class StartsTable(TomlTable):
 
 
 class CampaignTable(TomlTable):
-    """A campaign: keys that stand before all tables."""
+    """A campaign: keys before all tables."""
 
     job: Key = Field(description='a job file, such as "part.toml"')
     command: Literal["simulate", "correct"] = Field(

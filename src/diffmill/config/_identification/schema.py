@@ -25,7 +25,7 @@ class MeasuredTable(TomlTable):
 
     file: File | None = Field(
         default=None,
-        description='file of the measurements, such as "means.csv"; [means] may hold '
+        description='file of the measurements, such as "means.csv"; [means] may have '
         "lists instead",
     )
     channels: Channels | None = Field(
@@ -136,8 +136,8 @@ class FitTable(TomlTable):
     force_on: Literal["workpiece", "tool"] | None = Field(
         default=None,
         description="on what the recorded forces act: a dynamometer below the part "
-        "records those on the workpiece, which are reversed before axes are looked at; "
-        "not told if left out, and the recorded axes may then be reversed",
+        "records those on the workpiece, which are reversed before axes are ranked; "
+        "not known if left out, and the recorded axes may then be reversed",
     )
     loss: Literal["squares", "huber", "tukey"] = Field(
         default="huber", description="how errors count; tukey is for many gross errors"
@@ -149,7 +149,7 @@ class FitTable(TomlTable):
     )
     shift_range: PositiveTime | None = Field(
         default=None,
-        description='how far a time shift is looked for either way, such as "5 ms"; if '
+        description='largest time shift in either direction, such as "5 ms"; if '
         "left out a revolution, or less where tooth_angle is known",
     )
     lowpass: Frequency | None = Field(

@@ -64,8 +64,8 @@ class FlangeSpringTable(TomlTable):
     )
     in_last_link: StrictBool = Field(
         default=True,
-        description="true: the last link of the robot already holds the spindle, which "
-        "then moves behind the springs; false: the spindle is added",
+        description="true: the last link of the robot already includes the spindle, "
+        "which then moves behind the springs; false: the spindle is added",
     )
     damping_ratio: Ratio = Field(
         default=0.02, description="share of critical damping of each spring alone"

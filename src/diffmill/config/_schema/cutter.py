@@ -88,8 +88,8 @@ class CutterTable(TomlTable):
     holder: Annotated[list[HolderPartTable], Field(min_length=1)] | None = Field(
         default=None,
         validate_default=True,
-        description="cylinders and cones from the lower face of the holder up, which "
-        "are looked for in the stock; given together with overhang",
+        description="cylinders and cones from the lower face of the holder up, whose "
+        "contact with the stock is reported; given together with overhang",
     )
 
     @pydantic.field_validator("corner_radius")

@@ -87,11 +87,11 @@ class StockTable(TomlTable):
     spacing: PositiveLength | None = Field(
         default=None,
         description='distance between the rays of the stock, such as "0.2 mm"; '
-        "required, but beside result its own holds",
+        "required, but result has its own",
     )
     intervals: Annotated[list[Slots], Field(min_length=3, max_length=3)] | None = Field(
         default=None,
-        description="how many intervals a ray along x, y and z may hold, such as "
+        description="how many intervals a ray along x, y and z may have, such as "
         "[8, 8, 1]; as many as the program needs if left out",
     )
 
@@ -105,7 +105,7 @@ class ProgramTable(TomlTable):
     commanded: Annotated[StrictStr, Field(min_length=1)] | None = Field(
         default=None,
         description="for simulate: a path (.csv) with a row for each of the program's "
-        "that the controller is told instead, such as the corrected.csv of a result; "
+        "that the controller receives instead, such as the corrected.csv of a result; "
         "the error is still that from the program",
     )
     feed: PositiveSpeed | None = Field(
@@ -124,7 +124,7 @@ class ProgramTable(TomlTable):
     )
     smoothing: Delay = Field(
         default=0.0,
-        description="time over which the way along the path is averaged, against "
+        description="time over which the motion along the path is averaged, against "
         'jumps of its acceleration, such as "100 ms"',
     )
     jerk: Jerk | None = Field(

@@ -77,7 +77,7 @@ class MachineTable(TomlTable):
     )
     file: Annotated[StrictStr, Field(min_length=1)] | None = Field(
         default=None,
-        description='file that holds the modes, such as "identified.toml"; required '
+        description='file with the modes, such as "identified.toml"; required '
         "without modes",
     )
     rpy: Angles3 = Field(
