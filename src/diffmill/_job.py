@@ -171,7 +171,7 @@ class Job(eqx.Module):
 
     @property
     def tool_axes(self) -> Float[Array, "step 3"] | None:
-        """Tool axes of the path, None if the tool stands upright."""
+        """Tool axes of the path, None if the tool is upright."""
         return jnp.asarray(self.path.axes) if self.simulation.axes else None
 
     @property

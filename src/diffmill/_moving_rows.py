@@ -1,4 +1,4 @@
-"""Where a tool moves on, and where it nearly stands, as before an exact stop.
+"""Where a tool moves on, and where it nearly rests, as before an exact stop.
 
 There it cuts chips so thin that what it removes over its way says nothing of the cut, a
 bent arm that swings back leaves them, and vibrations grow no further than they are.

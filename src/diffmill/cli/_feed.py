@@ -147,7 +147,7 @@ def _positive(option: str, text: str | None, kind: "QuantityKind") -> float:
 
 
 def _path_files(name: str, job: "Job", path: "Path", what: str) -> dict[str, str]:
-    """Path as CSV, and of a tool that stands upright as a program."""
+    """Path as CSV, and of a tool that is upright as a program."""
     from ..io import write_gcode, write_path_csv
 
     files = {f"{name}.csv": write_path_csv(path)}

@@ -55,7 +55,7 @@ class KienzleLaw(AbstractForceLaw):
         K_te: Tangential edge coefficient [N/m].
         K_re: Radial edge coefficient [N/m].
         K_ae: Axial edge coefficient [N/m].
-        reference_thickness: Chip thickness h_1 at which K_ic11 holds [m].
+        reference_thickness: Chip thickness h_1 of K_ic11 [m].
         least_thickness: Chip thickness h_0 below which the coefficient follows its
             tangent [m], above 0.
 

@@ -2,7 +2,7 @@
 
 It knows the stock, the cutter and the force law, and poses of the tool; no robot. Where
 the teeth are in the material and what chips they cut is one class per model
-(`_engagement/`): a flat cutter that stands upright, any cutter in any direction as a
+(`_engagement/`): a flat cutter that is upright, any cutter in any direction as a
 row of edge elements, and the paper's cloud of dexel points. `choose_engagement` takes
 the one that suits, with its sizes.
 

@@ -83,12 +83,12 @@ def circle_chip(
 
     Args:
         radius: Radius R of both circles [m], shape ().
-        offset: Tool center when the earlier tooth stood at the same angle, minus the
+        offset: Tool center when the earlier tooth was at the same angle, minus the
             present one [m], shape (3,).
         immersion_angle: Angles phi of the tooth [rad], any shape.
         if_missed: Thickness where the radius misses the earlier circle [m].
         inverse_turn: 1 / Theta, of the angle between the two teeth [1/rad], shape ();
-            0 for an earlier tool that stood still.
+            0 for an earlier tool that rested.
 
     Returns:
         Chip thickness [m], not clipped: negative where the earlier circle reaches
@@ -145,7 +145,7 @@ def travel_share(
     angle between the two teeth, delta what the earlier one had turned further
 
     Args:
-        sideways: u.t / R, of the axis when the earlier tooth stood at this angle [rad],
+        sideways: u.t / R, of the axis when the earlier tooth was at this angle [rad],
             any shape.
         inverse_turn: 1 / Theta [1/rad], broadcast.
 
@@ -199,7 +199,7 @@ def edge_contact(
             the edge's normal and the axis; broadcast.
 
     Returns:
-        0 to 1, same shape; 0 for a tool that stands still.
+        0 to 1, same shape; 0 for a tool that rests.
 
     Differentiability: continuously differentiable.
     """

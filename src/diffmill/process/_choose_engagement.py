@@ -83,13 +83,13 @@ def choose_engagement(
         cutter: The cutter.
         axial_depth: Deepest immersion below the top of the stock [m].
         angles: Samples per revolution; raised to a multiple of teeth x substeps.
-            If not given at least 180 of a plain flat cutter that stands upright, and
+            If not given at least 180 of a plain flat cutter that is upright, and
             96 of others.
         substeps: Sub-steps per tooth period.
         element_height: Height of a disc [m]; if not given 3.5 ray spacings, one for
             a point cloud, less for a steep helix: see `default_element_height`.
         axes: Tool axes that will occur, shape (step, 3); used if not upright.
-        is_upright: Whether the tool stands along +z all the time.
+        is_upright: Whether the tool lies along +z all the time.
         plunges: Whether the path descends in material, so that the bottom cuts.
         has_bottom: Whether bottom edges cut where the tool descends.
         chip: The chip model, by its name or its settings.
@@ -100,7 +100,7 @@ def choose_engagement(
 
     Raises:
         ValueError: A point cloud is asked for, but not of a plain flat cutter that
-            stands upright; or updates do not divide the sub-steps.
+            is upright; or updates do not divide the sub-steps.
     """
     model = ChipSettings.of(chip)
     is_simple = is_upright and cutter.is_plain

@@ -22,14 +22,14 @@ def retime(
     """Return a path travelled with a feed override, on the host.
 
     Below 1 the whole motion is slower, its ramps included; above 1 the ramps are as
-    steep as the acceleration allows. Rapid moves and dwells keep their time.
+    steep as the acceleration allows. Rapid moves and rests keep their time.
 
     Args:
         path: The path as programmed.
         override: One number, or one per knot, the knots equally spaced over the
             length of the path and the override linear between them; positive.
         acceleration: Largest acceleration [m/s^2], as for `PathFeed.of_path`.
-        step_count: Rows to return; the tool stands still in those after its end. As
+        step_count: Rows to return; the tool rests in those after its end. As
             many as it needs if not given.
 
     Returns:

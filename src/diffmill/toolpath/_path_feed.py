@@ -9,7 +9,7 @@ backward, then take away what a bounded tangential acceleration cannot reach,
 after the lateral acceleration has bounded each of them. The time that an interval
 takes follows, and with it the place on the path at each new tooth instant. All that
 depends on the override is JAX code with arrays of fixed length, so that it
-differentiates; a path that ends early stands still for the rows that are left.
+differentiates; a path that ends early rests for the rows that are left.
 """
 
 import math

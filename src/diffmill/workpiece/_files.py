@@ -34,7 +34,7 @@ _STL_HEADER, _STL_TRIANGLE = 84, 50
 
 
 class StockFileError(ValueError):
-    """Raise when a file holds no stock, or a mesh that bounds no solid."""
+    """Raise when a file has no stock, or a mesh that bounds no solid."""
 
 
 def load_mesh(path: str | os.PathLike[str], *, unit: MeshUnit = "mm") -> Mesh:
@@ -44,7 +44,7 @@ def load_mesh(path: str | os.PathLike[str], *, unit: MeshUnit = "mm") -> Mesh:
 
     Args:
         path: An STL, OBJ or PLY file.
-        unit: Unit of the numbers in the file, which these formats do not tell.
+        unit: Unit of the numbers in the file, which these formats do not state.
 
     Returns:
         The mesh in metres, equal vertices joined; where that leaves gaps, those within
@@ -124,7 +124,7 @@ def from_mesh(
         path_or_mesh: An STL, OBJ or PLY file, or a mesh; a closed surface, all
             triangles facing outward; shells may overlap.
         spacing: Distance between rays [m].
-        unit: Unit of the numbers in a file, which these formats do not tell.
+        unit: Unit of the numbers in a file, which these formats do not state.
         interval_counts: Slots for intervals of a ray along x, y and z; by default as
             many as the part needs and seven more along x and y.
         dtype: Floating type; JAX's default if not given.
@@ -174,7 +174,7 @@ def save(
 
     Raises:
         StockFileError: The suffix is none of these, or a mesh is to be an .npz file.
-        ValueError: The stock holds no material, or the unit is unknown.
+        ValueError: The stock has no material, or the unit is unknown.
         OSError: The file cannot be written.
     """
     is_stock = isinstance(stock_or_mesh, Stock)

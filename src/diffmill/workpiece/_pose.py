@@ -39,7 +39,7 @@ class Pose(eqx.Module):
         positions: Float[Array, "step 3"],
         axes: Float[Array, "step 3"] | Float[np.ndarray, "step 3"] | None,
     ) -> "Pose":
-        """Poses of a path, which stands upright without axes."""
+        """Poses of a path, which is upright without axes."""
         if axes is not None:
             axes = jnp.asarray(axes, positions.dtype)
         return cls(positions, axes)

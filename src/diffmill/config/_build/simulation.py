@@ -229,7 +229,7 @@ def _check_simulation(
 def _axes(
     path: Path | None, table: SimulationSettings
 ) -> tuple[tuple[float, float, float], ...]:
-    """Directions of the tool, rounded; none if it stands upright."""
+    """Directions of the tool, rounded; none if it is upright."""
     if path is None:
         return ()
     if not table.tilts and path.is_upright:

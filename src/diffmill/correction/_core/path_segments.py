@@ -120,7 +120,7 @@ class PathParts(eqx.Module):
         """True at rows where a tool cuts nothing but should be in a full cut, (step,).
 
         Entries and exits do not count: there a tool that is a little off begins or ends
-        its cut a little earlier or later. Nor do rows at which the tool nearly stands,
+        its cut a little earlier or later. Nor do rows at which the tool nearly rests,
         as at an exact stop, or at which the rigid tool hardly cuts. The force tells,
         not the removed volume, which poses that stand close together leave to one of
         them.

@@ -24,7 +24,7 @@ class WeightedContour(eqx.Module):
     Attributes:
         vectors: From the desired path to the tip [m], shape (row, 3).
         lengths: Length of the path up to a row, times its weight [m], shape (row,):
-            nothing for a tool that stands still.
+            nothing for a tool that rests.
     """
 
     vectors: Float[Array, "row 3"]
@@ -68,7 +68,7 @@ class FeedProblem(eqx.Module):
     def prediction(
         self, override: Float[Array, " knot"], step_count: int
     ) -> WeightedContour:
-        """Contour vectors, with the length of path that each stands for.
+        """Contour vectors, with the length of path that each represents.
 
         Args:
             override: Override at the knots, shape (knot,).

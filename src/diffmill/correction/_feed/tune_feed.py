@@ -64,7 +64,7 @@ def feed_tradeoff(
         job: The job; its machine must not be rigid.
         overrides: Factors of the feed of the whole program, positive; rapid moves are
             not overridden.
-        corrects: Whether each is corrected too, as `[correction]` asks for.
+        corrects: Whether each is corrected too, as `[correction]` states.
         acceleration: Largest acceleration of the program [m/s^2]; that of its path if
             not given.
         on_progress: Called with a message and the share done.

@@ -192,7 +192,7 @@ def correct(
         SimulationFailed: The run of the uncorrected program fails.
         NothingToCorrect: The program never cuts, or all that cuts has no weight; a
             `ValueError`.
-        InfeasibleLimit: The program itself breaks a limit, or no correction holds all
+        InfeasibleLimit: The program itself breaks a limit, or no correction keeps all
             that is asked for; a `ValueError`.
         UnsuitableSettings: Knots, horizon or overlap do not suit the path, or no
             surface is left to correct; a `ValueError`.

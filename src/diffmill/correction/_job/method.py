@@ -73,7 +73,7 @@ def _gauss_newton(
 
 
 def job_bounds(job: Job, surface: FinishedSurface | None) -> SurfaceBounds | None:
-    """Bounds of the surface that `[correction]` asks for, or None.
+    """Bounds of the surface that `[correction]` states, or None.
 
     Raises:
         ValueError: They are asked for where there is no surface of walls and floors.

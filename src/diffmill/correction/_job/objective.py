@@ -30,7 +30,7 @@ class UnsuitableSettings(ValueError):
 def job_weights(
     job: Job, rigid: Run, is_cutting: BoolSteps, surface: FinishedSurface | None
 ) -> Float[np.ndarray, " step"]:
-    """Weight of every row, as `[correction]` asks for.
+    """Weight of every row, as `[correction]` states.
 
     On the path, rows that only pass over the surface count a little: nothing else keeps
     the command from swinging into what has been cut.
@@ -61,7 +61,7 @@ def job_surface(
 ) -> FinishedSurface | None:
     """Surface as it should be; None where it is not of walls and floors.
 
-    It is for a flat cutter that stands along +z and leaves something of what it cut.
+    It is for a flat cutter that lies along +z and leaves something of what it cut.
     """
     if not job.cutter.is_plain or job.simulation.axes:
         return None
@@ -124,7 +124,7 @@ def job_objective(
     surface: FinishedSurface | None,
     weights: Float[np.ndarray, " step"],
 ) -> AbstractObjective:
-    """Objective that `[correction]` asks for, with the weights of the rows.
+    """Objective that `[correction]` states, with the weights of the rows.
 
     Args:
         job: The job.

@@ -234,7 +234,7 @@ def delayed(
     *,
     nominal: FloatRows | None = None,
 ) -> Float[Array, "step axis"]:
-    """Command that comes late, shape (step, axis); before it, the first row stands.
+    """Command that comes late, shape (step, axis); before it, the first row counts.
 
     Between two rows a command moves linearly, as the simulation takes it.
 

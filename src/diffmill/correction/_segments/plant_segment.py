@@ -59,6 +59,6 @@ class AbstractPieces(eqx.Module):
         Args:
             state: State at the first of the rows.
             rows: Rows of the path, and those ahead of the last, shape (row,); the last
-                may be repeated, for a tool that dwells at the end. All pieces of as
+                may be repeated, for a tool that rests at the end. All pieces of as
                 many rows have the same structure and shapes.
         """

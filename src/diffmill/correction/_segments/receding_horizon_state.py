@@ -44,7 +44,7 @@ AnyRows = Float[Array, "row ..."] | Float[np.ndarray, "row ..."]
 
 
 class StillRows(eqx.Module):
-    """Rows around a piece in which its motion stands still.
+    """Rows around a piece in which its motion rests.
 
     Attributes:
         reach: Rows at either end, which only the contour looks at.

@@ -88,7 +88,7 @@ class RecordRegistration:
             refines_speed: Whether the speed is taken from the record.
             largest_feed: See `StraightCut.cut`.
             angle: Measured spindle angle at each row [rad], increasing, or None: the
-                clock of the cut then follows the spindle, and tooth 0 stands at this
+                clock of the cut then follows the spindle, and tooth 0 is at this
                 angle.
 
         Returns:
@@ -164,7 +164,7 @@ class RecordRegistration:
             time_shift: Time of the job minus time of the record [s]; found by the sizes
                 of the forces if not given.
             angle: Measured spindle angle at each row [rad], increasing, or None: the
-                clock of the record then follows the spindle, and tooth 0 stands at this
+                clock of the record then follows the spindle, and tooth 0 is at this
                 angle.
             keeps_shift: Whether the time shift is exact, and the zero of the angle is
                 not.
@@ -247,7 +247,7 @@ def _spindle_clock(
 def _in_phase(
     offset: float, time: np.ndarray, angle: np.ndarray, speed: float
 ) -> float:
-    """Nearest offset of the clock with which tooth 0 stands at the angle [s].
+    """Nearest offset of the clock with which tooth 0 is at the angle [s].
 
     It stands at zero when the clock of the cut does.
     """

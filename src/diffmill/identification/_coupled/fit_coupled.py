@@ -149,7 +149,7 @@ def fit_coupled(
         max_steps: Steps at most.
 
     Returns:
-        The fit; look at `.notes`.
+        The fit; read `.notes`.
 
     Raises:
         ValueError: No robot, nothing measured, wrong shapes or names.

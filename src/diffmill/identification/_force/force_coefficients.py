@@ -254,7 +254,7 @@ def fit_force_coefficients(
             it is zero at the first instant.
 
     Returns:
-        The fit; look at `.notes`.
+        The fit; read `.notes`.
 
     Raises:
         ValueError: Wrong shapes, names or times, or no overlap of record and cut.

@@ -34,7 +34,7 @@ def suggest_poses(
 ) -> PoseDesign:
     """Poses that would help most, measured as the others were.
 
-    No pose is proposed twice. Collisions are not looked at, nor what the instrument can
+    No pose is proposed twice. Collisions are not checked, nor what the instrument can
     see.
 
     Args:

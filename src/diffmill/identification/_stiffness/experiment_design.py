@@ -55,7 +55,7 @@ def suggest_load_tests(
     scatter like those of the table; by 5 % of the displacement if it has no more
     numbers than unknowns. No test is proposed twice: what a repetition averages out is
     scatter alone, not what is wrong with one pose. Joints without a number are taken to
-    be as stiff as the robot model says. Collisions are not looked at.
+    be as stiff as the robot model says. Collisions are not checked.
 
     Args:
         robot: The robot, with its stiffness as far as it is known.

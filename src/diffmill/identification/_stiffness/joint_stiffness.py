@@ -150,7 +150,7 @@ def fit_joint_stiffness(
             reported as not suiting the robot, and no stiffness is given.
 
     Returns:
-        The fit; look at `.notes`.
+        The fit; read `.notes`.
 
     Raises:
         ValueError: A table has a wrong shape or numbers that are not finite, or nothing

@@ -65,7 +65,7 @@ class KinematicStudy:
         has_waves: Whether gears may turn unevenly.
         waves_per_turn: Waves of a gear in a turn of its joint.
         has_all_parameters: Whether each joint has six errors; else those alone that
-            poses can tell apart.
+            poses can separate.
         is_gravity_compensated: Whether the controller takes the arm's sag away.
         has_process: Whether a Gaussian process on what is left is tried.
         folds: Parts of the poses, each of which is predicted by the others.

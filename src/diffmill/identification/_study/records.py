@@ -140,7 +140,7 @@ class ForceSettings:
 
     Attributes:
         axes: For x, y, z of the work the recorded axis; None if the file does not say.
-        takes_proposed: Whether the file asks for the likeliest axes.
+        takes_proposed: Whether the file takes the likeliest axes.
         loss: "squares", "huber" or "tukey".
         refine: Of "runout" and "radius".
         shift_range: [s], or None.

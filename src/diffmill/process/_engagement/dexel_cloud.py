@@ -90,7 +90,7 @@ class _Rows(eqx.Module):
 
 
 class DexelCloud(AbstractEngagement):
-    """The paper's own chip, of a flat cutter with even teeth that stands along +z.
+    """The paper's own chip, of a flat cutter with even teeth that lies along +z.
 
     Attributes as of `AbstractEngagement`.
     """

@@ -11,7 +11,7 @@ signal:
     servo             y' = w (u - y)   or   y'' + 2 zeta w y' + w^2 y = w^2 u
 
 A command moves linearly between the tooth instants, as the simulation takes it, and
-stands still before the first and after the last. The averages of such a command are
+rests before the first and after the last. The averages of such a command are
 exact, and so are the servos for an input that is linear between the instants at which
 they are evaluated, and for a staircase that jumps once between them.
 
@@ -288,13 +288,13 @@ class Controller(eqx.Module):
         before: int,
         ahead: int,
     ) -> ControllerState:
-        """State at row 0 of a path, before which the command stands still.
+        """State at row 0 of a path, before which the command rests.
 
         Args:
             commands: Commanded motor positions at the first rows, more than `ahead`
                 [rad or m], shape (step, joint).
             time_step: Time between two rows [s].
-            before: Rows before a row that `follow` needs, as `span` tells.
+            before: Rows before a row that `follow` needs, as `span` gives.
             ahead: Rows behind it.
 
         **Differentiability**: that of `motors`.

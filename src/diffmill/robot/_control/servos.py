@@ -154,7 +154,7 @@ class SecondOrder(NamedTuple):
         return rows - jnp.concatenate([first_lag[None], lags]), last_speed
 
     def _after(self, x: Float[Array, "..."]) -> _Transition:
-        """Transition of the state over x = w t, in which u stands still.
+        """Transition of the state over x = w t, in which u rests.
 
         The exponential of [[0, -1], [1, -2 zeta]] x, in closed form.
         """

@@ -104,7 +104,7 @@ class StiffnessMap(eqx.Module):
     def reach_box(robot: Robot) -> Float[np.ndarray, "2 3"]:
         """Corners of a box around the tool's reach, by random poses.
 
-        Joints without limits turn half a turn and slide 1 m either way.
+        Joints without limits turn half a turn and slide 1 m to either side.
 
         Args:
             robot: The robot.

@@ -101,7 +101,7 @@ def inverse_kinematics(
         q_start: Start of the search [rad or m], shape (joint,). Its end is the
             solution, unless it misses the pose or is beyond the limits.
         tool_rotation: "fixed", or "free": of the pose's rotation only the tool axis
-            counts. A joint more than the pose needs stands near the middle of its
+            counts. A joint more than the pose needs is near the middle of its
             range, or near home if it has no limits.
         attempts: Searches at most: after the first from elsewhere, until the pose is
             reached within limits. With 1 the solution is that of `q_start`. With 0

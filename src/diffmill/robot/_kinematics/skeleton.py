@@ -39,7 +39,7 @@ class Skeleton(eqx.Module):
             q: Joint positions [rad or m], shape (joint,).
 
         Returns:
-            The points; `robot.parents` tells which belong together.
+            The points; `robot.parents` shows which belong together.
         """
         values = joint_vector(robot, q, "q")
         frames = joint_frames(robot, values)

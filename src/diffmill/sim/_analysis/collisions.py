@@ -42,12 +42,12 @@ class ToolContacts(eqx.Module):
 
     Attributes:
         rapid_depth: Depth of the tool in the stock at the first row and in rapid moves
-            [m], shape (step,); zero where it was not looked for.
+            [m], shape (step,); zero where it was not checked.
         holder_depth: Depth of the holder in the stock as it is then [m], shape
             (step,).
         holder_part_depth: Depth of the holder in what is left after the last row [m],
             shape (step,): even if all else were cut before.
-        spacing: Distance between the rays that were looked at [m]: contact that is
+        spacing: Distance between the rays that were checked [m]: contact that is
             narrower may be missed.
     """
 

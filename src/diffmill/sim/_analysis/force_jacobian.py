@@ -75,7 +75,7 @@ class _Replayed(eqx.Module):
 
 @CachedJit
 def _begin(process: Process, path: Pose) -> _Replayed:
-    """Return the state before the first period, as if the tool had stood still."""
+    """Return the state before the first period, as if the tool had rested."""
     state = process.begin(path[0], path.tip.shape[0])
     still = path[0].repeated(process.engagement.substeps)
     return _Replayed(state, still, still)

@@ -211,7 +211,7 @@ def stability_lobes(
     Args:
         job: The job; its machine must not be rigid.
         solution: Its solution; simulated if not given.
-        rows: Rows to look at, from 1; if not given up to three of the largest chips
+        rows: Rows to examine, from 1; if not given up to three of the largest chips
             that last, apart from each other.
         speeds: Speeds of the spindle [rad/s], ascending; if not given 61 from 0.6 to
             1.5 times the program's.

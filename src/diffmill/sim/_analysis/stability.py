@@ -75,7 +75,7 @@ class Stability(eqx.Module):
             period in the air [-], shape (row,); negative, since the machine damps it.
         log_growth: Logarithm of the largest factor by which a vibration grows that
             passes an unstable row [-], shape (row,); 0 at stable rows and where the
-            tool nearly stands.
+            tool nearly rests.
         tooth_frequency: Tooth passing frequency [Hz].
         fastest_mode: Frequency of the fastest mode that the cut could excite [Hz]; 0
             if there is none.
@@ -190,7 +190,7 @@ class Stability(eqx.Module):
                 joint); of a machine of modes its command.
             joint_positions: Joints there [rad or m], shape (step, joint); of a machine
                 of modes its poses, as a command has them.
-            rows: Rows to look at, from 1.
+            rows: Rows to examine, from 1.
             is_moving_cut: Rows at which the tool cuts and does not nearly stand, shape
                 (step,); vibrations grow there. If not given, all at which it moves.
 
@@ -278,8 +278,8 @@ def stability(
     Args:
         job: The job; its machine must not be rigid.
         solution: Its solution; simulated if not given.
-        rows: Rows to look at, from 1; if not given, up to 124 rows where the tool
-            cuts and does not nearly stand: evenly spread, and those of a quick look.
+        rows: Rows to examine, from 1; if not given, up to 124 rows where the tool
+            cuts and does not nearly rest: evenly spread, and those of a quick look.
 
     Returns:
         The growth, on the host.
@@ -337,7 +337,7 @@ def _with_total(
     """Return the growth with the largest factor of a vibration that passes each row.
 
     A row stands for the periods of the moving cut that are nearer to it than to others.
-    Between them, in the air and where the tool nearly stands, a vibration decays as it
+    Between them, in the air and where the tool nearly rests, a vibration decays as it
     does in the air; it begins anew where nothing is left of it.
 
     Args:

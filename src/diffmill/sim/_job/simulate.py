@@ -626,14 +626,14 @@ def rigid_cut(
 class MachiningProblem(eqx.Module):
     """A job as compiled programs see it: numbers alone, none of them static.
 
-    What stands only in its file, and what others do with its results, is left out.
+    What is only in its file, and what others do with its results, is left out.
 
     Attributes:
         process: The process.
         machine: What moves the tool; None for a rigid machine.
         controller: What its motors do of their command; None if they follow it.
         path: The path.
-        axes: Tool axes, shape (step, 3); None if it stands upright.
+        axes: Tool axes, shape (step, 3); None if it is upright.
         kinematics: From commanded tips to its motors; None for a rigid machine.
     """
 

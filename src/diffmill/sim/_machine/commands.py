@@ -52,7 +52,7 @@ class JobKinematics(eqx.Module):
         T_base_work: Pose of the workpiece frame in the robot's base, shape (4, 4).
         joint_start: Joints near which inverse kinematics begins, shape (joint,); None
             for the robot's home.
-        tool_axes: Tool axes of the path, shape (step, 3); None if it stands upright.
+        tool_axes: Tool axes of the path, shape (step, 3); None if it is upright.
         tool_x: Unit x of the tool, shape (step, 3); None if the path leaves it open.
         tool_rotation: Rotation about the tool axis, as of the job.
         is_gravity_compensated: Whether the controller takes the sag away.

@@ -68,7 +68,7 @@ class SubstepRow(NamedTuple):
     Attributes:
         time: Its middle, from the start of the period [s], shape (*substep,).
         earlier: Poses when the teeth before passed, shape (*substep, before, 3), of
-            uneven teeth (*substep, before, tooth, 3), as if the tool had stood still
+            uneven teeth (*substep, before, tooth, 3), as if the tool had rested
             in these sub-steps.
         within: Weights of this period's displacements in the poses when the teeth
             before passed, shape (*substep, before, tooth, substep); None for evenly

@@ -160,7 +160,7 @@ class ElasticArm(AbstractInertialMachine):
 def in_work(
     T_base_work: Transform, T_base_tool: Float[Array, "4 4"], is_upright: bool
 ) -> Pose:
-    """Return the tool's pose in `work`; without an axis if it stands upright."""
+    """Return the tool's pose in `work`; without an axis if it is upright."""
     frame = jnp.asarray(T_base_work, T_base_tool.dtype)
     to_work = frame[:3, :3].T
     tip = to_work @ (T_base_tool[:3, 3] - frame[:3, 3])

@@ -44,7 +44,7 @@ class RunState(eqx.Module):
     Attributes:
         process: The stock, less the poses that wait for removal, and these.
         machine: The machine's own state, a tree.
-        period_count: Tooth periods run so far, which tell the tooth that is next.
+        period_count: Tooth periods run so far, which give the tooth that is next.
         cut_by: What cut the ends of each family of rays, as `Rays.poses` of the whole
             run, shapes (u, v, 2, slot): the stock of the process forgets what earlier
             segments cut. None where that is not asked for.
@@ -63,7 +63,7 @@ class PeriodRow(NamedTuple):
         period: Its index k, from pose k - 1 to pose k, shape (*period,).
         command: The machine's, a tree.
         is_live: Whether the period counts, shape (*period,); None if all do. In one
-            that does not the machine stands still.
+            that does not the machine rests.
     """
 
     period: Int[Array, "*period"]
@@ -192,7 +192,7 @@ class AbstractMachine(eqx.Module):
 
         Args:
             process: The process.
-            command: What it is told, one row per tooth instant.
+            command: What it receives, one row per tooth instant.
         """
 
     @abc.abstractmethod
@@ -203,7 +203,7 @@ class AbstractMachine(eqx.Module):
 
         Args:
             process: The process.
-            command: What the machine is told, one row per tooth instant.
+            command: What the machine receives, one row per tooth instant.
             row_count: How many rows count, shape (); None for all.
         """
 
@@ -250,7 +250,7 @@ class AbstractMachine(eqx.Module):
 
         Args:
             process: The process.
-            command: What the machine is told at the tooth instants: for `Rigid` the
+            command: What the machine receives at the tooth instants: for `Rigid` the
                 poses of the tool, shape (step, 3), for an arm its motors' angles theta,
                 behind the gear on the joint's side [rad or m], shape (step, joint); 0
                 for virtual joints.

@@ -104,8 +104,8 @@ class ModalPeriod(AbstractPeriodDynamics):
 class ModalMachine(AbstractInertialMachine):
     """A machine given by modes at its tool tip; its command is the tool's path.
 
-    A command has the tip positions [m], shape (step, 3), or where the tool does not
-    stand upright tips and axes, shape (step, 6). The run starts in equilibrium, moving
+    A command has the tip positions [m], shape (step, 3), or where the tool is not
+    upright tips and axes, shape (step, 6). The run starts in equilibrium, moving
     with the command.
 
     Attributes:

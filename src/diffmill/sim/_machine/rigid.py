@@ -299,7 +299,7 @@ def simulate_process(
         bottom_law: The law of the bottom edge; derived from `law` if not given.
         keeps_instantaneous: Whether to return the force at every angle sample.
         chip: The chip model: "near_far" is smooth and accurate; "point_cloud" is the
-            paper's, hard, only for flat cutters that stand upright.
+            paper's, hard, only for flat cutters that are upright.
         row_count: How many rows count, those behind leave everything as it is; shape
             (). All rows if not given.
 

@@ -24,14 +24,14 @@ FEED, ACCELERATION, CURVE, JERK = "feed", "acceleration", "curves", "jerk"
 
 
 class TimingLimits(NamedTuple):
-    """Limits to which a controller holds a motion.
+    """Limits to which a controller keeps a motion.
 
     Attributes:
         acceleration: Largest acceleration along and across the path [m/s^2].
         rapid_feed: Speed of rapid moves [m/s].
         corner_tolerance: Largest distance from a corner [m]; 0 stops exactly there.
         feed: Speed of feed moves that state none [m/s].
-        smoothing: Time over which the way along the path is averaged [s].
+        smoothing: Time over which the motion along the path is averaged [s].
     """
 
     acceleration: float

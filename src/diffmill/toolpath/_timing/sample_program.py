@@ -41,7 +41,7 @@ def sample_program(
         rapid_feed: Speed of rapid moves [m/s].
         corner_tolerance: Largest distance from a corner [m]; 0 stops exactly there.
         feed: Speed of feed moves that state none [m/s].
-        smoothing: Time over which the way along the path is averaged [s]: the tool
+        smoothing: Time over which the motion along the path is averaged [s]: the tool
             stays on the path and within the limits, the tangential acceleration changes
             by 2 acceleration / smoothing at most, and the way from one stop to the next
             takes so much longer. Where the curvature jumps, the centripetal

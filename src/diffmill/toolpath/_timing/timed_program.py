@@ -43,7 +43,7 @@ class ProgramTiming(NamedTuple):
 
     Attributes:
         limits: Limits of the controller.
-        along: Further limits along its way, from the joints.
+        along: Further limits along its path, from the joints.
         cycle_time: Time that it takes, and what makes it longer.
     """
 
@@ -67,7 +67,7 @@ class TimedProgram(NamedTuple):
     Attributes:
         program: The program; its approach has no time.
         limits: Limits of the controller.
-        along: Further limits along its way.
+        along: Further limits along its path.
         legs: Its pieces, corners rounded.
         profile: Speeds on them.
     """
@@ -87,7 +87,7 @@ class TimedProgram(NamedTuple):
         Args:
             program: The program.
             limits: Limits of the controller.
-            along: Further limits along its way.
+            along: Further limits along its path.
 
         Raises:
             ValueError: If a limit is not positive, a feed is missing, the tool turns on

@@ -50,7 +50,7 @@ class RemovedPieces(eqx.Module):
         Args:
             stock: The workpiece.
             cutter: The cutter; its axis is +z.
-            window: Size of the window, which stands around the tip.
+            window: Size of the window, which is around the tip.
             tip: Tool tip in `work` [m], shape (3,).
 
         Returns:

@@ -37,7 +37,7 @@ class RemovalWindow(eqx.Module):
         sizes: Grid lines along x, y and z.
         slack: Largest distance of the second pose from the first [m].
         length: Length of the tool from the tip that can be in the stock [m]; used
-            for tools in any direction, whose window stands around this length.
+            for tools in any direction, whose window is around this length.
         has_shank: True if the shank above the flutes can be in the stock.
     """
 
@@ -50,7 +50,7 @@ class RemovalWindow(eqx.Module):
     def upright(
         cls, stock: Stock, cutter: AbstractCutter, axial_depth: float, reach: float
     ) -> "RemovalWindow":
-        """Window of a cutter that stands along +z.
+        """Window of a cutter that lies along +z.
 
         Args:
             stock: The workpiece.
@@ -122,9 +122,9 @@ class RemovalWindow(eqx.Module):
         *,
         slots: Int[Array, " 3"] | None = None,
     ) -> "CutStock":
-        """Subtract the cutter at a few close poses, where it stands still.
+        """Subtract the cutter at a few close poses, where it rests.
 
-        The window stands around the first of them.
+        The window is around the first of them.
 
         Args:
             stock: The workpiece.
@@ -155,7 +155,7 @@ class RemovalWindow(eqx.Module):
     ) -> "CutStock":
         """Subtract the ways of teeth around the tool, at a few close places.
 
-        The window stands around the first pass.
+        The window is around the first pass.
 
         Args:
             stock: The workpiece.

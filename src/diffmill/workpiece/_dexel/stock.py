@@ -171,7 +171,7 @@ class Stock(eqx.Module):
             nothing to another path, and the top is the highest material that is left.
 
         Raises:
-            ValueError: The stock holds no material.
+            ValueError: The stock has no material.
         """
         # Rays along z alone would miss a wall that stands between them.
         z_lines = np.asarray(self.origin)[2] + self.spacing * np.arange(
@@ -261,7 +261,7 @@ class Stock(eqx.Module):
             may be lost.
 
         Raises:
-            ValueError: The stock holds no material, or the grid is too large for the
+            ValueError: The stock has no material, or the grid is too large for the
                 memory.
         """
         from .._mesh.dual_contour import surface_mesh

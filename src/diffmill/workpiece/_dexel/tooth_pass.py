@@ -157,7 +157,7 @@ class ToothPass(eqx.Module):
         last: Last node that is known; later the tool is taken to stand there, ().
         substeps: Steps per tooth period.
         teeth: Mask of the teeth that make the pass, of a cutter with run-out, shape
-            (tooth,): the one that stands out most cuts; all teeth if None.
+            (tooth,): the one that is outermost cuts; all teeth if None.
     """
 
     nodes: Pose
@@ -211,7 +211,7 @@ class ToothPass(eqx.Module):
             height: Above the tip [m], shape (...).
 
         Returns:
-            Offset of the tooth that stands out most, broadcast against the heights;
+            Offset of the tooth that is outermost, broadcast against the heights;
             None for a cutter without run-out.
 
         **Differentiability**: kinks where another tooth stands out most.
@@ -271,7 +271,7 @@ class ToothPass(eqx.Module):
 
 
 def standing(pose: Pose, index: Int[Array, ""]) -> ToothPass:
-    """Pass of a tool that stands still.
+    """Pass of a tool that rests.
 
     Args:
         pose: The pose, shape (3,).

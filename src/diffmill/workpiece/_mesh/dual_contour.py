@@ -38,7 +38,7 @@ def surface_mesh(stock: "Stock") -> Mesh:
         Triangles [m]. Walls and gaps thinner than the spacing may be lost.
 
     Raises:
-        ValueError: The stock holds no material, or the grid is too large for the
+        ValueError: The stock has no material, or the grid is too large for the
             memory.
     """
     inside = inside_nodes(stock)

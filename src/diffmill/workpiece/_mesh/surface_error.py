@@ -95,7 +95,7 @@ class SurfaceError(eqx.Module):
             of the spacing.
 
         Raises:
-            ValueError: The ideal stock holds no material.
+            ValueError: The ideal stock has no material.
         """
         (error,) = SurfaceError.of_stocks(
             [machined], ideal, leaves_out_raw=leaves_out_raw
@@ -115,7 +115,7 @@ class SurfaceError(eqx.Module):
                 ideal stock has too.
 
         Raises:
-            ValueError: The ideal stock holds no material.
+            ValueError: The ideal stock has no material.
         """
         if not bool(ideal.volume() > 0):
             raise ValueError("Argument `ideal` must hold material, but is empty.")
@@ -125,7 +125,7 @@ class SurfaceError(eqx.Module):
 
     @property
     def area_share(self) -> Float[np.ndarray, " n"]:
-        """Share of the surface that each point stands for [-], shape (n,).
+        """Share of the surface that each point represents [-], shape (n,).
 
         A plane is met by |n_x| + |n_y| + |n_z| rays per square of the spacing.
         """
