@@ -109,6 +109,28 @@ def test_readme_has_one_command_for_the_job_and_one_for_the_tests():
     assert "pytest" in tests
 
 
+def test_readme_begins_with_three_short_lines_for_the_same_job():
+    text = README.read_text(encoding="utf-8")
+    (first, *_) = re.findall(r"^```sh\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
+    install, example, correct = first.splitlines()
+    assert all(len(line) < 80 for line in (install, example, correct))
+    assert install.endswith("install --constraint constraints.txt .")
+    job = readme_commands()[0]
+    for line in (example, correct):
+        assert line.removeprefix(".venv/bin/") in job
+
+
+def test_pictures_of_the_readme_are_small_and_made_by_a_command():
+    text = README.read_text(encoding="utf-8")
+    script = (ROOT / "docs" / "make_pictures.py").read_text(encoding="utf-8")
+    pictures = re.findall(r"!\[[^\]]+\]\((docs/\w+\.png)\)", text)
+    assert pictures[:2] == ["docs/surface.png", "docs/view.png"]
+    assert "python\ndocs/make_pictures.py" in text
+    for name in pictures:
+        assert pathlib.Path(name).name in script
+        assert (ROOT / name).stat().st_size < 100_000, name
+
+
 def test_job_of_the_readme_is_the_small_example(tmp_path):
     from diffmill import examples
 
