@@ -18,7 +18,7 @@ from browser import browser  # noqa: E402
 
 RESULTS = ROOT / "out" / "paper-correct"
 # Window of the report [px]; the view is as wide as its text.
-WINDOW = {"width": 1000, "height": 900}
+WIDTH, HEIGHT = 1000, 900
 COLOURS = 255
 # The view of the part with its colours, as the uncorrected program cuts it.
 CHOOSE = """document.documentElement.style.overflow = "hidden";
@@ -49,7 +49,7 @@ def main(results: pathlib.Path) -> None:
     write_small(results / "paths.png", docs / "correction.png")
     folder = pathlib.Path(tempfile.mkdtemp())
     with browser(folder / "profile") as page:
-        page.open((results / "report.html").resolve(), **WINDOW)
+        page.open((results / "report.html").resolve(), width=WIDTH, height=HEIGHT)
         page.value(CHOOSE)
         page.settle()
         page.screenshot(folder / "view.png", box=page.value(BOX))

@@ -125,7 +125,7 @@ def hide_compiler_alarms() -> None:
     if os.environ.get("TF_CPP_MIN_LOG_LEVEL", _DEFAULT_LOG) != _DEFAULT_LOG:
         return
     with contextlib.suppress(ImportError, AttributeError):
-        from jaxlib import utils
+        from jaxlib import utils  # pyright: ignore[reportAttributeAccessIssue]
 
         utils.absl_set_min_log_level(_QUIET_LOG)
 
