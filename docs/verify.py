@@ -22,11 +22,11 @@ HEAD = """# How it was verified
 
 `python docs/verify.py` runs the tests below and writes this page. A difference is the
 largest that a test compares, over the largest value that is expected; where a test
-holds a bound, only its outcome stands here. Tests with recorded data are skipped where
+has a bound, only its outcome is here. Tests with recorded data are skipped where
 `DIFFMILL_REFERENCE_DATA` does not lead to them, and slow cases are left out.
 
 A row says that the equations are solved as they are written. Whether they describe a
-machine, only a measurement of that machine can tell: no built-in robot is an
+machine, only a measurement of that machine can show: no built-in robot is an
 identified machine as a whole.
 """
 
