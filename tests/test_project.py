@@ -257,6 +257,17 @@ def test_a_notebook_is_executed_once_and_its_figures_are_on_its_page(
     assert [path.name for path in kept.iterdir()] != [stored.name]
 
 
+def test_every_notebook_and_page_is_in_the_menu():
+    menu = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
+    notebooks = {
+        f"notebook_{file.stem}" for file in (ROOT / "notebooks").glob("*.ipynb")
+    }
+    pages = {file.stem for file in (ROOT / "docs").glob("*.md")}
+    named = re.findall(r": (\w+)\.md$", menu, re.MULTILINE)
+    assert len(named) == len(set(named))
+    assert notebooks | pages <= set(named)
+
+
 def test_a_notebook_that_fails_ends_the_build_of_the_site(site_pages, tmp_path):
     pytest.importorskip("nbclient")
     from mkdocs.exceptions import PluginError
