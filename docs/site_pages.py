@@ -240,13 +240,15 @@ def notebook_page(notebook: dict[str, Any], name: str) -> tuple[str, dict[str, b
             lines += [text, ""]
         elif text:
             lines += [f"```py\n{text}\n```", ""]
-        for output in cell.get("outputs", []):
+        outputs = cell.get("outputs", [])
+        # What a cell prints comes in pieces.
+        if told := "\n".join(filter(None, map(text_of, outputs))):
+            lines += [f"```text\n{told}\n```", ""]
+        for output in outputs:
             if image := output.get("data", {}).get("image/png"):
                 file = f"notebook_{name}_{len(figures) + 1}.png"
                 figures[file] = base64.b64decode(image)
                 lines += [f"![Figure of the cell above]({file})", ""]
-            elif told := text_of(output):
-                lines += [f"```text\n{told}\n```", ""]
         if len(lines) == 2:
             how = f"`notebooks/{name}.ipynb`, to be opened with `jupyter lab`"
             more = "" if is_executed(notebook) else "; not executed for this site"
