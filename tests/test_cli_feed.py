@@ -62,6 +62,11 @@ def test_feed_writes_numbers_a_figure_and_tuned_paths(folder, asked, capsys):
         *("result.nc", "feed.png", "tuned_0.3.csv", "tuned_0.3.ngc"),
         *("tuned_0.1.csv", "tuned_0.1.ngc"),
     }
+    page = (out / "report.html").read_text()
+    assert "leaves 4.5 um rms, the least, at an override of 0.5 in" in page
+    for title in ("Feeds of the whole program", "Overrides along the path", "Figures"):
+        assert f"<h2>{title}</h2>" in page
+    assert "steps ran out" in page and page.count("<img ") == 1
     with xarray.open_dataset(out / "result.nc", engine="h5netcdf") as found:
         np.testing.assert_allclose(found["uncorrected"], [4.5e-6, 9e-6])
         slow, usual = (float(value) for value in found["cycle_time"])
@@ -230,6 +235,12 @@ def test_the_fastest_feed_within_a_tolerance_is_written(folder, monkeypatch, cap
     assert "beyond the limit: tolerance" in said
     assert (out / "summary.txt").read_text() in said
     assert "the fastest feed by diffmill" in (out / "fastest.ngc").read_text()
+    page = (out / "report.html").read_text()
+    assert "<b>Override 1.000.</b>" in page and page.count("<img ") == 1
+    for part in ("a contour error of 50 um", "a force of 100 N", "Assumptions"):
+        assert part in page
+    (best,) = [row for row in page.split("<tr") if row.startswith(' class="best"')]
+    assert ">1.000<" in best and ">20<" in best
     with xarray.open_dataset(out / "result.nc", engine="h5netcdf") as found:
         np.testing.assert_allclose(found["override"], [1.0, 1.5])
         assert found["broken"].values.tolist() == ["", "tolerance"]

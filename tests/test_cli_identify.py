@@ -3,6 +3,8 @@
 import dataclasses
 import json
 import math
+import pathlib
+import re
 import tomllib
 
 import jax
@@ -78,9 +80,31 @@ def run(folder, capsys):
             (folder / name).write_text(text)
         assert main([command, name]) == code
         said = capsys.readouterr()
+        if command == "identify" and code == 0:
+            check_page(folder / f"{pathlib.Path(name).stem}-identify")
         return said.err if code == 2 else said.out
 
     return run
+
+
+def check_page(out):
+    """Check that a report has every figure, value and section."""
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert page.count("<img ") == len(drawn(out))
+    for title in ("What was asked", "Estimates", "Assumptions"):
+        assert f"<h2>{title}</h2>" in page
+    assert "<figcaption><b>" in page and ".</b> </figcaption>" not in page
+    assert len(page) < 3e6
+    # What no measurement shows has no number.
+    cells = re.findall(r'<td data-label="value">(.*?)</td>', page)
+    assert cells and all(x == "-" or math.isfinite(float(x)) for x in cells)
+
+
+def page_row(out, name):
+    """Return the cells behind the name of an estimate."""
+    page = (out / "report.html").read_text(encoding="utf-8")
+    row = page.split(f'<td data-label="quantity">{name}</td>')[1].split("</tr>")[0]
+    return re.findall(r"<td[^>]*>(.*?)</td>", row)
 
 
 def flat(text):
@@ -313,6 +337,14 @@ def test_load_tests_give_springs_and_name_gross_errors(folder, run):
     assert facts["outlier_rows"] == [5] and facts["left_out_error"] < 0.05
     assert len(toml["robot"]["joint_stiffness"]) == 2
     assert toml["correction"]["uncertainty"]["gaussian"] is True
+    value, error, interval, unit, _ = page_row(out, "x")
+    assert float(value) == pytest.approx(facts["stiffness_SI"][0], rel=1e-3)
+    assert float(error) == pytest.approx(facts["standard_errors_SI"][0], rel=0.06)
+    low, high = map(float, interval.split(" to "))
+    assert high - low == pytest.approx(2 * 1.96 * float(error), rel=0.06)
+    assert unit == "N/m"
+    page = (out / "report.html").read_text()
+    assert "Rows 5 of the table contradict" in page.split('id="warnings"')[1]
     assert drawn(out) == {"stiffness", "residual", "left_out", "correlation"}
 
 
@@ -323,6 +355,7 @@ def test_springs_far_from_the_model_are_comments(folder, run):
     assert "about 1e+03 times the model's stiffness" in said
     out, facts, toml = results(folder, "loads")
     assert toml == {} and all(facts["identifiable"])
+    assert "<b>Not to be used.</b>" in (out / "report.html").read_text()
     assert "# joint_stiffness = [" in (out / "identified.toml").read_text()
 
 

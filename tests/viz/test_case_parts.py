@@ -40,7 +40,7 @@ def test_figures_are_those_of_the_case(result):
 def test_report_and_command_line_leave_out_a_part_without_rows(tmp_path, result):
     page = write_report(tmp_path, result, {}).read_text(encoding="utf-8")
     assert "By part of the path" in page
-    assert "80.0 / 160.0" in page and "corner: rms" not in page
+    assert "80.0 / 160" in page and "corner: rms" not in page
     text = summary(result)
     assert "corner" not in text
     *_, mirror = [x for x in text.splitlines() if x.startswith("mirror ")]
@@ -71,7 +71,7 @@ def test_the_first_place_out_of_the_cut_is_told(tmp_path, result):
     error = np.abs(result["contour_error"].sel(case="mirror").values)[is_out[1]].max()
     x, y, z = 1e3 * result["desired"].values[40]
     place = f"first at {result['time'].values[40]:.3f} s, x, y, z = "
-    place += f"{x:.2f}, {y:.2f}, {z:.2f} mm"
+    place += f"{x:.1f}, {y:.1f}, {z:.1f} mm"
     (line,) = [line for line in summary(told).splitlines() if "warning" in line]
     assert "in 3 steps" in line and place in line
     assert f"up to {1e6 * error:.3g} um" in line and "keeps a mark" in line

@@ -3,7 +3,7 @@
 import numpy as np
 import xarray
 
-from diffmill.viz import plot_feed
+from diffmill.viz import plot_fastest_feed, plot_feed
 
 
 def even(corrected):
@@ -54,3 +54,19 @@ def test_without_corrections_no_line_and_overrides_below():
     np.testing.assert_allclose(np.asarray(curve.lines[1].get_xdata()), [12.0, 15.0])
     assert len(along.lines) == 2 and "0.3" in labels(along)[0]
     assert np.asarray(along.lines[0].get_xdata())[-1] == 100.0
+
+
+def test_feeds_that_break_a_limit_are_crosses_with_its_name():
+    tried = xarray.Dataset(
+        {
+            "override": ("trial", [1.0, 1.5, 1.25]),
+            "error": ("trial", [2e-5, 7e-5, np.nan]),
+        },
+        coords={"broken": ("trial", ["", "tolerance", "run"])},
+    )
+    (axes,) = plot_fastest_feed(tried, 5e-5).axes
+    curve, *points, limit = axes.lines
+    np.testing.assert_allclose(np.asarray(curve.get_xdata()), [1.0, 1.25, 1.5])
+    assert [one.get_marker() for one in points] == ["o", "x", "x"]
+    np.testing.assert_allclose(np.asarray(limit.get_ydata()), 50.0)
+    assert [text.get_text() for text in axes.texts] == ["tolerance", "run"]

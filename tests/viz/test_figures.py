@@ -1,8 +1,10 @@
 """The figures draw the numbers of the dataset, at the scale that they state."""
 
+import dataclasses
 import re
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -14,6 +16,7 @@ from diffmill.viz import (
     plot_cut_dexels,
     plot_deviation,
     plot_forces,
+    plot_joints,
     plot_paths,
     plot_surface_error,
 )
@@ -69,14 +72,14 @@ def test_plan_view_draws_factor_times_the_distance_from_the_line(correction):
         np.testing.assert_allclose(line.get_xdata()[cutting], expected[cutting, 0])
         np.testing.assert_allclose(line.get_ydata()[cutting], expected[cutting, 1])
         assert np.isnan(line.get_xdata()[~cutting]).all()
-    assert plan.get_title(loc="left") == "plan view, distance x 20"
+    assert plan.get_title(loc="left") == "plan view, distance magnified 20 times"
 
 
 @pytest.mark.parametrize("scale", [0.1, 0.26, 0.51, 1.0, 3.0])
 def test_automatic_magnification_makes_the_deviation_visible(correction, scale):
     result = correction.assign(deviation=scale * correction["deviation"])
     title = panels_of(plot_paths(result))[0].get_title(loc="left")
-    factor = float(title.removeprefix("plan view, distance x "))
+    factor = float(re.findall(r"magnified (\S+) times", title)[0])
     assert f"{factor:g}".rstrip("0") in ("1", "2", "5")
     length = np.linalg.norm(result["deviation"].values[0, :, :2], axis=1)
     drawn = factor * np.percentile(length[result["is_cutting"].values], 95)
@@ -86,7 +89,7 @@ def test_automatic_magnification_makes_the_deviation_visible(correction, scale):
 def test_a_deviation_that_shows_by_itself_is_not_magnified(correction):
     result = correction.assign(deviation=30 * correction["deviation"])
     title = panels_of(plot_paths(result))[0].get_title(loc="left")
-    assert title == "plan view, distance x 1"
+    assert title == "plan view, distance magnified 1 times"
 
 
 def nearest_on_line(point, line):
@@ -171,7 +174,7 @@ def test_side_view_states_the_ratio_of_its_axes(correction):
     # An independent reading: pixels between two points of known distance.
     origin, right, up = side.transData.transform([(0, 0), (10, 0), (0, 50)])
     ratio = ((up[1] - origin[1]) / 50e-6) / ((right[0] - origin[0]) / 10e-3)
-    stated = float(re.findall(r"drawn (\S+) times", side.get_title(loc="left"))[0])
+    stated = float(re.findall(r"magnified (\S+) times", side.get_title(loc="left"))[0])
     assert stated == float(f"{ratio:.2g}")
 
 
@@ -196,6 +199,40 @@ def test_deviation_is_drawn_in_micrometres(correction):
         np.testing.assert_allclose(line.get_ydata(), expected)
         np.testing.assert_allclose(line.get_xdata(), correction["time"].values)
     assert panels[4].get_yscale() == "log"
+
+
+def test_deviation_is_drawn_over_the_path_length(correction):
+    """A straight stretch of the square has equal steps of the feed."""
+    panels = panels_of(plot_deviation(correction, over="path_length"))
+    along = line_of(panels[0], "uncorrected").get_xdata()
+    steps = np.linalg.norm(np.diff(correction["desired"].values, axis=0), axis=1)
+    np.testing.assert_allclose(np.diff(along), 1e3 * steps)
+    assert along[0] == 0 and panels[-1].get_xlabel() == "path length [mm]"
+
+
+def test_joints_are_drawn_between_their_limits(correction, job):
+    count = correction.sizes["step"]
+    given = correction["time"].values * [[0.01], [0.02], [0.0]]
+    motion = np.broadcast_to(given.T, (5, count, 3))
+    robot = dataclasses.replace(
+        job.robot,
+        joint_lower=-jnp.ones(3),
+        joint_upper=jnp.array([0.01, jnp.inf, 1.0]),
+    )
+    result = correction.assign(motor_positions=(("case", "step", "joint"), motion))
+    panels = panels_of(plot_joints(result, robot))
+    assert [p.get_title(loc="left") for p in panels[1::2]] == [
+        "x [mm]", "y [mm]", "z [mm]"
+    ]  # fmt: skip
+    line = line_of(panels[1], "corrected")
+    np.testing.assert_allclose(line.get_xdata(), correction["time"].values)
+    np.testing.assert_allclose(line.get_ydata(), 1e3 * given[0])
+    # The upper limit of x is in sight, that of z is not, and y has none.
+    assert panels[0].get_ylim()[1] == pytest.approx(10.0)
+    assert any(np.allclose(one.get_ydata(), 10.0) for one in panels[1].lines)
+    low, high = panels[5].get_ylim()
+    assert low < 0 < high < 1e3
+    assert [text.get_text() for text in panels[2].texts] == ["no limits"]
 
 
 def test_what_happens_in_the_air_does_not_set_the_scale(correction):

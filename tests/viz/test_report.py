@@ -248,7 +248,7 @@ def test_incomplete_run_says_so(tmp_path, simulation):
     text = read(write_report(tmp_path, stopped, {})).text
     assert "rounded square (incomplete)" in text
     assert "This run is incomplete. Out of slots. It stopped at 0.3713 s" in text
-    assert "x, y, z = 1.000, 2.000, -1.000 mm" in text
+    assert "x, y, z = 1.0, 2.0, -1.0 mm" in text
 
 
 def test_simulation_report_lists_skipped_figures(tmp_path, simulation):

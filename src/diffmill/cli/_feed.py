@@ -2,6 +2,7 @@
 
 import pathlib
 import sys
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -103,10 +104,36 @@ def _fastest(
         files |= _path_files("fastest", job, found.path, "the fastest feed")
     folder = ResultsFolder.of(folder).still_free(force=force)
     from ..io import write_results
+    from ..viz import plot_fastest_feed, save_figure
+    from ._pages.feed import fastest_report
 
-    write_results(folder, with_job(found.to_dataset(), job), files=files, force=force)
+    tried = found.to_dataset()
+    write_results(folder, with_job(tried, job), files=files, force=force)
+    limits = [f"a contour error of {request.tolerance}"]
+    limits += [f"a force of {request.max_force}"] if request.max_force else []
+    limits += ["the speeds of the joints"] if job.robot is not None else []
+    page = fastest_report(job, found, tuple(limits), "\n".join(lines))
+
+    def draw(target: pathlib.Path) -> None:
+        save_figure(plot_fastest_feed(tried, tolerance), target / "fastest.png")
+        page.write(target, ["fastest"])
+
+    code = _with_pictures(folder, draw)
     progress.write(f"results: {folder}")
-    return 0
+    return code
+
+
+def _with_pictures(folder: pathlib.Path, draw: Callable[[pathlib.Path], object]) -> int:
+    """Add a figure and the report to results; return the exit code."""
+    attempts = Attempts()
+
+    def fill(target: pathlib.Path) -> None:
+        with attempts.at("report"):
+            draw(target)
+
+    with interruption_leaves(lambda: f"{folder} has the results without the report"):
+        attempts.add(folder, fill)
+    return attempts.conclude(folder)
 
 
 def _fastest_lines(job: "Job", found: "FastestFeed") -> list[str]:
@@ -275,10 +302,12 @@ def _write(
     *,
     force: bool,
 ) -> int:
-    """Write the numbers and tuned paths, then the figure; return the exit code."""
+    """Write numbers and tuned paths, then figure and report; return the exit code."""
     from ..io import write_results
     from ..viz import plot_feed, save_figure
+    from ._pages.feed import tradeoff_report
 
+    lines = _summary(job, tradeoff, tuned)
     even = tradeoff.to_dataset()
     along = None if tuned is None else tuned.to_dataset()
     dataset: Dataset = even
@@ -290,15 +319,13 @@ def _write(
             what = f"feed tuned for a weight of the time of {point.weight:g}"
             files |= _path_files(f"tuned_{point.weight:g}", job, path, what)
     write_results(folder, with_job(dataset, job), files=files, force=force)
-    attempts = Attempts()
+    page = tradeoff_report(job, tradeoff, tuned, "\n".join(lines))
 
     def draw(target: pathlib.Path) -> None:
-        with attempts.at("figure"):
-            save_figure(plot_feed(even, along), target / "feed.png")
+        save_figure(plot_feed(even, along), target / "feed.png")
+        page.write(target, ["feed"])
 
-    with interruption_leaves(lambda: f"{folder} has the results without the figure"):
-        attempts.add(folder, draw)
-    return attempts.conclude(folder)
+    return _with_pictures(folder, draw)
 
 
 def _summary(

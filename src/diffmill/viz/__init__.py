@@ -21,7 +21,10 @@ from ._figure.dexels import (
     CutDexels as CutDexels,
     plot_cut_dexels as plot_cut_dexels,
 )
-from ._figure.feed import plot_feed as plot_feed
+from ._figure.feed import (
+    plot_fastest_feed as plot_fastest_feed,
+    plot_feed as plot_feed,
+)
 from ._figure.forces import ForceTrace as ForceTrace, plot_forces as plot_forces
 from ._figure.history import plot_deviation as plot_deviation
 from ._figure.identified import (
@@ -39,6 +42,7 @@ from ._figure.identified_robot import (
     plot_pose_errors as plot_pose_errors,
     plot_ring_down as plot_ring_down,
 )
+from ._figure.joints import plot_joints as plot_joints
 from ._figure.learning import (
     CAUSES as CAUSES,
     write_learning_figures as write_learning_figures,
@@ -51,6 +55,11 @@ from ._figure.surface import plot_surface_error as plot_surface_error
 from ._report.case_parts import case_parts as case_parts
 from ._report.inputs import figure_inputs as figure_inputs
 from ._report.report import write_report as write_report
+from ._report.study import (
+    StudyReport as StudyReport,
+    StudyTable as StudyTable,
+)
 from ._report.summary import summary as summary
+from ._report.verdict import Verdict as Verdict
 from ._report.write import write_figures as write_figures
 from ._style import save_figure as save_figure

@@ -4,7 +4,7 @@ A result of `simulate` has no dimension `case` and is shown as one case called
 "predicted"; a result of `correct` has one entry of `case` per method.
 """
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import equinox as eqx
 import numpy as np
@@ -14,6 +14,11 @@ from ..toolpath import ContourStatistics
 
 if TYPE_CHECKING:
     import xarray
+
+
+# Quantity of a figure's horizontal axis.
+Abscissa: TypeAlias = Literal["time", "path_length"]
+ABSCISSA_LABELS = {"time": "time [s]", "path_length": "path length [mm]"}
 
 
 class CaseNumbers(eqx.Module):
@@ -81,6 +86,16 @@ def cutting_of(dataset: "xarray.Dataset", case: str) -> Bool[np.ndarray, " step"
     return values_of(dataset, "is_cutting", case) > 0.5
 
 
+def abscissa(
+    dataset: "xarray.Dataset", case: str, over: Abscissa
+) -> Float[np.ndarray, " step"]:
+    """Time [s] or length of the desired path [mm] at each step, shape (step,)."""
+    if over == "time":
+        return values_of(dataset, "time", case)
+    steps = np.diff(values_of(dataset, "desired", case), axis=0)
+    return 1e3 * np.concatenate([[0.0], np.linalg.norm(steps, axis=1).cumsum()])
+
+
 def place_text(dataset: "xarray.Dataset", case: str, row: int) -> str:
     """Time and place of a step of a case on the desired path, as text."""
     time = values_of(dataset, "time", case)[row]
@@ -90,7 +105,7 @@ def place_text(dataset: "xarray.Dataset", case: str, row: int) -> str:
 def position_text(position: np.ndarray) -> str:
     """Return a position [m] in millimetres."""
     x, y, z = 1e3 * position
-    return f"x, y, z = {x:.2f}, {y:.2f}, {z:.2f} mm"
+    return f"x, y, z = {x:.1f}, {y:.1f}, {z:.1f} mm"
 
 
 def reference_case(dataset: "xarray.Dataset") -> str:

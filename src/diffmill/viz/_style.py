@@ -184,3 +184,21 @@ def spread(values: Float[np.ndarray, "..."], percent: float = 95.0) -> float:
     """Return the percentile of the finite absolute values, 0 when there are none."""
     finite = np.abs(values[np.isfinite(values)])
     return float(np.percentile(finite, percent)) if finite.size else 0.0
+
+
+def number_text(value: float) -> str:
+    """Return three digits, without an exponent where that is readable; "-" for NaN."""
+    if not np.isfinite(value):
+        return "-"
+    value = float(f"{value:.3g}")
+    if value == 0 or 1e-3 <= abs(value) < 1e6:
+        digits = 0 if value == 0 else max(0, 2 - int(np.floor(np.log10(abs(value)))))
+        return f"{value:.{digits}f}"
+    return f"{value:.3g}"
+
+
+def length_text(length: float) -> str:
+    """Return a length [m] with three digits at most, in micrometres or millimetres."""
+    if not abs(length) >= 0.9995e-3:
+        return f"{1e6 * length:.3g} {MICROMETRE}"
+    return f"{1e3 * length:.3g} mm"

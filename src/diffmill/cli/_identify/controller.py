@@ -7,8 +7,13 @@ import numpy as np
 from ...identification import ControllerStudy
 from ...viz import plot_prediction
 from .reading import note_lines, range_text
-from .report import Report, all_noted, noted
-from .toml_snippets import Rounded
+from .report import EstimatedValue, Report, all_noted, noted
+from .rounded import Rounded
+
+_ASSUMED = (
+    "One linear servo with one dead time moves all axes; nothing is cut, and friction "
+    "and backlash do not show.",
+)
 
 
 def report(study: ControllerStudy, result: ControllerStudy.Fit) -> Report:
@@ -86,7 +91,20 @@ def report(study: ControllerStudy, result: ControllerStudy.Fit) -> Report:
         what="d",
         title="actual less commanded, and by the controller found",
     )
-    return Report(lines, toml, facts, {"controller": draw})
+    known = result.is_identifiable
+    estimates = [
+        EstimatedValue(name.replace("_", " "), value if known else np.nan, error, unit)
+        for name, value, error, unit in (
+            ("bandwidth", result.bandwidth, errors["bandwidth"], "Hz"),
+            *(
+                [("damping_ratio", zeta, errors["damping_ratio"], "1")]
+                if zeta is not None
+                else []
+            ),
+            ("dead_time", 1e3 * result.dead_time, 1e3 * errors["dead_time"], "ms"),
+        )
+    ]
+    return Report(lines, toml, facts, {"controller": draw}, estimates, _ASSUMED)
 
 
 def reading(study: ControllerStudy) -> list[str]:

@@ -11,7 +11,7 @@ from ...cutting import AbstractForceLaw, KienzleLaw
 from ...identification import CoupledStudy
 from ...viz import plot_correlation, plot_force_fit
 from .reading import channel_lines, note_lines
-from .report import Report, all_noted, noted, uncertainty_remark
+from .report import EstimatedValue, Report, all_noted, noted, uncertainty_remark
 from .toml_snippets import doubted, force_toml, joints_toml
 
 # Joints that `[robot.bending_tool]` and `[robot.flange_spring]` add to those of a job.
@@ -24,6 +24,12 @@ _ADDED = (
 _SHOWN = {"force": ("F", "N", 1.0), "deviation": ("d", "\u00b5m", 1e6)}
 # Rows that a figure shows closely.
 _ROWS = 60
+
+_ASSUMED = (
+    "The arm is that of the job but for the parameters that are fitted; what the job's "
+    "model leaves out goes into them.",
+    "The clock of the record runs as the job's, but for one shift.",
+)
 
 
 def report(study: CoupledStudy, fit: CoupledStudy.Fit) -> Report:
@@ -47,7 +53,18 @@ def report(study: CoupledStudy, fit: CoupledStudy.Fit) -> Report:
         "has_converged": fit.has_converged,
         "notes": [*study.notes, *fit.notes],
     }
-    return Report(_lines(study, fit), _toml(study, fit), facts, _figures(study, fit))
+    estimates = [
+        EstimatedValue(
+            name,
+            fit.parameters[name] if fit.identifiable[name] else np.nan,
+            fit.standard_errors[name],
+            "SI",
+            f"{factor:.3f} times the job's",
+        )
+        for name, factor in zip(fit.names, np.exp(fit.log_scale), strict=True)
+    ]
+    lines, figures = _lines(study, fit), _figures(study, fit)
+    return Report(lines, _toml(study, fit), facts, figures, estimates, _ASSUMED)
 
 
 def reading(study: CoupledStudy) -> list[str]:

@@ -19,13 +19,23 @@ from .diagnoses import diagnosis_facts, diagnosis_lines, tare_facts
 from .reading import reading_lines
 from .registration import axes_lines, record_lines, tooth_lines
 from .report import (
+    EstimatedValue,
     Report,
     all_noted,
+    coefficient_estimates,
     coefficient_lines,
     correlation_lines,
     noted,
 )
 from .toml_snippets import NOT_IN_ERRORS, cutter_toml, fitted_force_toml
+
+_ASSUMED = (
+    "The tool goes as programmed: neither machine nor tool bends, and the spindle "
+    "turns at one speed.",
+    "The force law is linear in the chip with an edge force; teeth differ by their "
+    "run-out alone.",
+    "The dynamometer follows all frequencies alike.",
+)
 
 
 def report(study: ForceRecordStudy, result: ForceRecordStudy.Fit) -> Report:
@@ -51,7 +61,14 @@ def report(study: ForceRecordStudy, result: ForceRecordStudy.Fit) -> Report:
     ]
     doubts = [one.partition(":")[0] for one in fit.doubts]
     toml = fitted_force_toml(result, doubts, cutter_toml(result))
-    return Report(lines, toml, _facts(study, result), _figures(study, result))
+    raw = dict(zip(fit.coefficients, fit.raw.tolist(), strict=True))
+    estimates = coefficient_estimates(raw, fit.standard_errors, fit.identifiable)
+    estimates += [
+        EstimatedValue(name, 1e6 * value, 1e6 * fit.refined_errors[name], "um")
+        for name, value in fit.refined.items()
+    ]
+    facts, figures = _facts(study, result), _figures(study, result)
+    return Report(lines, toml, facts, figures, estimates, _ASSUMED)
 
 
 def reading(study: ForceRecordStudy) -> list[str]:

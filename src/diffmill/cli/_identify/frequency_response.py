@@ -15,7 +15,8 @@ from .modes import (
     vibration_reading,
 )
 from .report import Report, all_noted
-from .toml_snippets import Rounded, commented, doubted
+from .rounded import Rounded
+from .toml_snippets import commented, doubted
 
 _UNITS = {
     "receptance": "displacement over force [m/N]",

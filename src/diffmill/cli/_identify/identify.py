@@ -18,10 +18,34 @@ from .._session.errors import (
     locked_folder,
 )
 from .._session.progress import Progress
-from .report import Report
+from .report import Report, estimate_table
 
 if TYPE_CHECKING:
     from ...identification import Study
+    from ...viz import StudyReport, Verdict
+
+# Captions of figures by how their names begin.
+_CAPTIONS = {
+    "correlation": "Two values whose errors correlate by nearly 1 or -1 are hard to "
+    "tell apart with these measurements.",
+    "damping_correlation": "Two dampers whose errors correlate by nearly 1 or -1 are "
+    "hard to tell apart with these measurements.",
+    "left_out": "Measurements that the fit did not see, as the fit predicts them.",
+    "prediction": "Measurements that the fit did not see, as the fit predicts them.",
+    "record": "What was measured, and what the fit makes of it.",
+    "spectrum": "What the fit leaves, over the frequency.",
+    "mean_forces": "Mean forces over the feed with their lines, and what these leave.",
+    "stiffness": "Fitted springs with two standard errors beside those of the model.",
+    "residual": "Size of each displacement, and what the fit leaves of it.",
+    "controller": "Actual less commanded path, measured and by the controller found.",
+    "ring_down": "The vibration, its fit and what that leaves.",
+    "frequency_response": "Size and phase of the response, measured and fitted.",
+    "damping": "Fitted dampers with two standard errors beside those of the model.",
+    "reversal": "Link less motor over the position, measured and as other records "
+    "predict it.",
+    "force": "What was measured, and what the fit makes of it.",
+    "deviation": "What was measured, and what the fit makes of it.",
+}
 
 
 def run_identify(
@@ -76,7 +100,8 @@ def _identify(
 
     try:
         with progress:
-            report = in_words(study).report(study, study.run(progress.update))
+            words = in_words(study)
+            report = words.report(study, study.run(progress.update))
     except StudyError as error:
         raise BadInput(str(error)) from error
     except SimulationFailed as failure:
@@ -86,23 +111,26 @@ def _identify(
         head = [f"identified from {file.name} by diffmill", "paste into a job file"]
         text = snippet(head, report.toml)
         (target / "identified.toml").write_text(text, encoding="utf-8")
-        (target / "summary.txt").write_text(
-            "\n".join(report.lines) + "\n", encoding="utf-8"
-        )
+        (target / "summary.txt").write_text(report.text + "\n", encoding="utf-8")
         facts = json.dumps(_plain(report.facts), indent=2, allow_nan=False)
         (target / "identified.json").write_text(facts + "\n", encoding="utf-8")
 
     # Whatever fails from here on, what was found is kept and shown.
     if not progress.is_quiet:
-        print(printable("\n".join([*report.lines, "", *report.toml])))
+        print(printable("\n".join([report.text, "", *report.toml])))
     folder = ResultsFolder.of(folder).still_free(force=force)
     ResultsFolder.of(folder).write(fill, force=force)
     attempts = Attempts()
 
     def draw(target: pathlib.Path) -> None:
+        drawn = []
         for name, figure in report.figures.items():
             with attempts.at(f"figure {name}"):
                 save_figure(figure(), target / f"{name}.png")
+                drawn.append(name)
+        with attempts.at("report"):
+            asked = [line.strip() for line in words.reading(study)]
+            _page(file, study.kind, asked, report).write(target, drawn)
 
     left = f"{folder} has the results without all figures"
     with progress, interruption_leaves(lambda: left):
@@ -110,6 +138,42 @@ def _identify(
         attempts.add(folder, draw)
     progress.write(f"results: {folder} ({time.perf_counter() - start:.1f} s)")
     return attempts.conclude(folder)
+
+
+def _page(
+    file: pathlib.Path, kind: str, asked: list[str], report: Report
+) -> "StudyReport":
+    """Report of an identification as a page."""
+    from ...viz import StudyReport
+
+    return StudyReport(
+        kind="Identification",
+        title=f"{file.stem}: {kind.replace('_', ' ')}",
+        asked=(f"Values that {file.name} asks for, from these measurements:", *asked),
+        verdict=_verdict(report),
+        tables=(estimate_table(report.estimates),),
+        assumptions=tuple(report.assumptions),
+        warnings=tuple(report.marked("warning")),
+        notes=tuple(report.marked("note")),
+        text="\n".join([report.text, "", *report.toml]),
+        source=file.read_text(encoding="utf-8", errors="replace"),
+        captions=_CAPTIONS,
+    )
+
+
+def _verdict(report: Report) -> "Verdict":
+    """Whether the values are to be used."""
+    from ...viz import Verdict
+
+    known = sum(one.is_known for one in report.estimates)
+    count = f"{known} of {len(report.estimates)} values are identifiable"
+    written = [line for line in report.toml if line]
+    if all(line.startswith("#") for line in written):
+        why = written[0].lstrip("# ") if written else "Nothing was found."
+        return Verdict(False, "Not to be used", f"{count}. {why}")
+    if report.marked("warning"):
+        return Verdict(False, "Doubtful", f"{count}, but see the warnings.")
+    return Verdict(True, "Found", f"{count}; identified.toml has them for a job.")
 
 
 @runtime_checkable

@@ -9,8 +9,9 @@ from jaxtyping import Float
 from ...identification import KinematicStudy
 from ...viz import plot_correlation, plot_pose_errors, plot_prediction
 from .reading import channel_lines, note_lines
-from .report import Report, all_noted, noted
-from .toml_snippets import Rounded, doubted
+from .report import EstimatedValue, Report, all_noted, noted
+from .rounded import Rounded
+from .toml_snippets import doubted
 
 # Unknowns of which the poses leave more than this share of the prior variance are open.
 _OPEN = 0.5
@@ -28,6 +29,13 @@ _WHAT = {
     "frame": "frames of the tool",
     "distance": "distances of the tool from a fixed point",
 }
+
+_ASSUMED = (
+    "Beforehand each error is normal about zero with the size that [prior] states; "
+    "standard errors hold for that.",
+    "The robot stands still and unloaded in each pose, and the instrument does not "
+    "move.",
+)
 
 
 def report(study: KinematicStudy, result: KinematicStudy.Fit) -> Report:
@@ -107,7 +115,17 @@ def report(study: KinematicStudy, result: KinematicStudy.Fit) -> Report:
     toml = _toml(study, result)
     if doubts:
         toml = doubted(toml, f"{doubts[0]} See summary.txt.")
-    return Report(lines, toml, facts, figures)
+    every = zip(parameters, fit.x, fit.standard_errors, fit.known_share, strict=True)
+    estimates = [
+        EstimatedValue(
+            one.name,
+            1e3 * float(value) if share >= _OPEN else np.nan,
+            1e3 * float(error),
+            f"m{one.unit}",
+        )
+        for one, value, error, share in every
+    ]
+    return Report(lines, toml, facts, figures, estimates, _ASSUMED)
 
 
 def reading(study: KinematicStudy) -> list[str]:

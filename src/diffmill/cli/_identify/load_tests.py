@@ -12,8 +12,14 @@ from ...viz import (
     plot_prediction,
 )
 from .reading import channel_lines, note_lines
-from .report import Report, all_noted, noted, uncertainty_remark
+from .report import EstimatedValue, Report, all_noted, noted, uncertainty_remark
 from .toml_snippets import doubted, joints_toml, uncertainty_toml
+
+_ASSUMED = (
+    "Joints are linear springs, links are rigid, and the load acts at the tool of the "
+    "robot's file.",
+    "The brakes or servos hold the motors where they are while the load comes on.",
+)
 
 
 def report(study: LoadTestStudy, result: LoadTestStudy.Fit) -> Report:
@@ -84,7 +90,19 @@ def report(study: LoadTestStudy, result: LoadTestStudy.Fit) -> Report:
     toml = _toml(study, result)
     if doubts:
         toml = doubted(toml, "A unit of the table may be wrong; see summary.txt.")
-    return Report(lines, toml, facts, figures)
+    estimates = [
+        EstimatedValue(
+            name,
+            float(fit.stiffness[i]) if fit.identifiable[i] else np.nan,
+            float(fit.standard_errors[i]),
+            "N/m" if study.robot.joint_kinds[i] == "prismatic" else "N m/rad",
+            f"at least {fit.stiffness_bound[i]:.3g}"
+            if fit.stiffness_bound[i] > 0 and not fit.identifiable[i]
+            else "",
+        )
+        for i, name in enumerate(fit.joint_names)
+    ]
+    return Report(lines, toml, facts, figures, estimates, _ASSUMED)
 
 
 def reading(study: LoadTestStudy) -> list[str]:

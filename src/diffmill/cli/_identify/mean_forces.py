@@ -20,12 +20,19 @@ from .report import (
     Report,
     all_noted,
     axes_text,
+    coefficient_estimates,
     coefficient_lines,
     correlation_lines,
     force_on_text,
     noted,
 )
 from .toml_snippets import NOT_IN_ERRORS, fitted_force_toml
+
+_ASSUMED = (
+    "Mean forces grow along a straight line with the feed per tooth: the chip has the "
+    "thickness f_z sin(phi), and coefficients do not change with the feed.",
+    "All teeth cut alike; the tool neither bends nor wears between the cuts.",
+)
 
 
 def report(study: MeanForceStudy, result: MeanForceStudy.Fit) -> Report:
@@ -93,7 +100,15 @@ def report(study: MeanForceStudy, result: MeanForceStudy.Fit) -> Report:
         doubts = ["No coefficient is identifiable"]
     if any(record.is_saturated for record in study.records):
         doubts.append("Samples of a record are saturated")
-    return Report(lines, fitted_force_toml(result, doubts), facts, figures)
+    errors, known = fit.standard_errors, fit.identifiable
+    return Report(
+        lines,
+        fitted_force_toml(result, doubts),
+        facts,
+        figures,
+        coefficient_estimates(fit.coefficients, errors, known),
+        _ASSUMED,
+    )
 
 
 def reading(study: MeanForceStudy) -> list[str]:

@@ -10,7 +10,7 @@ import numpy as np
 from ...identification import FrequencyResponse, ModeStudy, RingDown
 from ...viz import plot_correlation, plot_joint_values
 from .reading import channel_lines, note_lines
-from .report import Report, all_noted, noted, uncertainty_remark
+from .report import EstimatedValue, Report, all_noted, noted, uncertainty_remark
 from .toml_snippets import doubted, joints_toml, uncertainty_toml
 
 if TYPE_CHECKING:
@@ -18,6 +18,11 @@ if TYPE_CHECKING:
 
 # Modes that explain a smaller share of what was measured are doubted.
 LEAST_EXPLAINED = 0.9
+_ASSUMED = (
+    "The structure is linear: the frequencies do not change with the size of the "
+    "vibration, and the damping is viscous.",
+    "The robot stands still and its servos hold it as in the cut.",
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -87,7 +92,31 @@ def modes_report(
             plot_correlation, robot.joint_names, damping.correlation
         )
     machine = [line for part in parts for line in part.machine]
-    return Report(lines, machine or _damper_toml(study, result), facts, figures)
+    toml = machine or _damper_toml(study, result)
+    return Report(lines, toml, facts, figures, _estimates(study, result), _ASSUMED)
+
+
+def _estimates(study: ModeStudy, result: ModeStudy.Fit) -> list[EstimatedValue]:
+    """Frequencies and damping of the modes, and the joints' dampers."""
+    estimates = []
+    for one, fit in zip(study.measured, result.modes, strict=True):
+        for k, is_known in enumerate(fit.identifiable & fit.is_structural):
+            for what, values, errors, scale, unit in (
+                ("frequency", fit.frequencies, fit.frequency_errors, 1.0, "Hz"),
+                ("damping", fit.damping_ratios, fit.damping_errors, 100.0, "%"),
+            ):
+                value = scale * float(values[k]) if is_known else np.nan
+                error = scale * float(errors[k])
+                name = f"{one.name}, {what} {k + 1}"
+                estimates.append(EstimatedValue(name, value, error, unit))
+    damping, robot = result.damping, study.robot
+    if damping is not None and robot is not None:
+        for i, name in enumerate(robot.joint_names):
+            value = float(damping.damping[i]) if damping.identifiable[i] else np.nan
+            unit = "N s/m" if robot.joint_kinds[i] == "prismatic" else "N m s/rad"
+            error = float(damping.standard_errors[i])
+            estimates.append(EstimatedValue(f"damper of {name}", value, error, unit))
+    return estimates
 
 
 def vibration_reading(head: str, one: RingDown | FrequencyResponse) -> list[str]:

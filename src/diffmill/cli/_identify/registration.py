@@ -15,7 +15,7 @@ from ...identification import (
 from .diagnoses import diagnosis_lines
 from .reading import tare_lines
 from .report import all_noted, axes_text, force_on_text, noted
-from .toml_snippets import Rounded
+from .rounded import Rounded
 
 # Forces that agree less in size over a job, or overlap less of its cut, are doubted.
 _ALIKE, _COVERED = 0.8, 0.9

@@ -2,12 +2,16 @@
 
 import dataclasses
 import itertools
+import math
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool, Float
+
+from ...viz import StudyTable
+from .rounded import Rounded
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -20,24 +24,86 @@ class Report:
     """Report of an identification.
 
     Attributes:
-        lines: The summary for the terminal.
+        lines: The summary for the terminal; notes and warnings are a line each.
         toml: Lines of job tables.
         facts: Everything as numbers and texts, for `identified.json`.
         figures: Functions that draw the figures, by the names of their files without
             suffix.
+        estimates: The values that were sought.
+        assumptions: What is assumed, in sentences.
     """
 
     lines: list[str]
     toml: list[str]
     facts: dict[str, object]
     figures: Mapping[str, Callable[[], "Figure"]]
+    estimates: Sequence["EstimatedValue"]
+    assumptions: Sequence[str]
+
+    @property
+    def text(self) -> str:
+        """Summary for the terminal, long notes in several lines."""
+        return "\n".join(
+            "\n".join(textwrap.wrap(line, _WIDTH, subsequent_indent="  "))
+            if line.startswith(("note: ", "warning: "))
+            else line
+            for line in self.lines
+        )
+
+    def marked(self, mark: str) -> list[str]:
+        """Sentences behind a mark, "note" or "warning"."""
+        head = f"{mark}: "
+        return [x.removeprefix(head) for x in self.lines if x.startswith(head)]
+
+
+@dataclasses.dataclass(frozen=True)
+class EstimatedValue:
+    """A value that was sought.
+
+    Attributes:
+        name: Name of the quantity.
+        value: The value; NaN if the measurements do not show it.
+        error: Its standard error; NaN if it is not known.
+        unit: Unit of both.
+        remark: What else is known, such as a bound.
+    """
+
+    name: str
+    value: float
+    error: float
+    unit: str
+    remark: str = ""
+
+    @property
+    def is_known(self) -> bool:
+        """True if the measurements show it."""
+        return math.isfinite(self.value)
+
+
+def estimate_table(estimates: Sequence[EstimatedValue]) -> StudyTable:
+    """Table of values with standard errors and 95 % intervals.
+
+    Args:
+        estimates: The values.
+    """
+    rows = []
+    for one in estimates:
+        cells, remark = ("-", "-", "-"), one.remark
+        if not one.is_known:
+            remark = "; ".join(filter(None, ["not identifiable", remark]))
+        else:
+            value, error = Rounded.of(one.value, one.error)
+            ends = (one.value + s * 1.96 * one.error for s in (-1, 1))
+            interval = " to ".join(Rounded.of(x, one.error).value for x in ends)
+            cells = (value, error, interval if math.isfinite(one.error) else "-")
+        rows.append((one.name, *cells, one.unit, remark))
+    header = ("quantity", "value", "standard error", "95 %", "unit", "remark")
+    return StudyTable("Estimates", header, tuple(rows))
 
 
 def noted(text: str, mark: str = "note") -> list[str]:
-    """Lines of a sentence behind a mark."""
-    return textwrap.wrap(
-        text, _WIDTH, initial_indent=f"{mark}: ", subsequent_indent="  "
-    )
+    """Line of a sentence behind a mark."""
+    return [f"{mark}: {text}"]
 
 
 def all_noted(texts: Sequence[str], mark: str = "note") -> list[str]:
@@ -67,6 +133,26 @@ def coefficient_lines(
         lost = "" if identifiable[name] else "   not identifiable"
         lines.append(f"{name:14}{scale * raw[name]:12.5g}{text}  {unit}{lost}")
     return lines
+
+
+def coefficient_estimates(
+    raw: Mapping[str, float],
+    errors: Mapping[str, float],
+    identifiable: Mapping[str, bool],
+) -> list[EstimatedValue]:
+    """Force coefficients in the units of tables.
+
+    Args:
+        raw: As fitted, identifiable or not, by name [Pa, N/m].
+        errors: Standard errors.
+        identifiable: Whether each is known.
+    """
+    estimates = []
+    for name, value in raw.items():
+        unit, scale = ("N/mm^2", 1e-6) if name.endswith("c") else ("N/mm", 1e-3)
+        number = scale * value if identifiable[name] else math.nan
+        estimates.append(EstimatedValue(name, number, scale * errors[name], unit))
+    return estimates
 
 
 def correlation_lines(

@@ -9,8 +9,9 @@ import numpy as np
 from ...identification import ReversalStudy
 from ...viz import plot_reversal
 from .reading import channel_lines, note_lines
-from .report import Report, all_noted
-from .toml_snippets import Rounded, commented
+from .report import EstimatedValue, Report, all_noted
+from .rounded import Rounded
+from .toml_snippets import commented
 
 _HEAD = (
     f"{'joint':12}{'stiffness':>22}{'reversal':>16}{'backlash':>16}{'presliding':>14}"
@@ -19,6 +20,12 @@ _HEAD = (
 _UNITS = f"{'':12}{'[MN m/rad], 95 %':>22}" + "".join(
     f"{unit:>{width}}"
     for unit, width in (("[urad]", 16), ("[urad]", 16), ("[urad]", 14), ("[ms]", 16))
+)
+
+_ASSUMED = (
+    "Two encoders read motor and link without an error of their own; the spring "
+    "between them is linear beside backlash and friction.",
+    "The robot's file is right about masses: they give the load of each joint.",
 )
 
 
@@ -92,6 +99,12 @@ def report(study: ReversalStudy, result: ReversalStudy.Fit) -> Report:
         toml,
         {"kind": study.kind, "joints": facts, "notes": [*_all_notes(study), *doubts]},
         figures,
+        [
+            one
+            for name, fitted in zip(names, result.drives, strict=True)
+            for one in _estimates(name, fitted)
+        ],
+        _ASSUMED,
     )
 
 
@@ -105,6 +118,28 @@ def reading(study: ReversalStudy) -> list[str]:
             *note_lines(one.notes, 4),
         ]
     return lines + note_lines(study.notes)
+
+
+def _estimates(name: str, fitted: ReversalStudy.Drive) -> list[EstimatedValue]:
+    """Spring, reversal, backlash and delay of a joint."""
+    drive = fitted.drive
+    low, high = drive.stiffness_interval
+    bound = f"at least {1e-6 * low:.3g}" if not math.isfinite(high) else ""
+    return [
+        EstimatedValue(
+            f"{name}, {what}",
+            scale * one.value if math.isfinite(one.error) else math.nan,
+            scale * one.error,
+            unit,
+            remark,
+        )
+        for what, one, scale, unit, remark in (
+            ("stiffness", drive.stiffness, 1e-6, "MN m/rad", bound),
+            ("reversal", drive.reversal, 1e6, "urad", ""),
+            ("backlash", drive.backlash, 1e6, "urad", ""),
+            ("delay", drive.delay, 1e3, "ms", ""),
+        )
+    ]
 
 
 def _all_notes(study: ReversalStudy) -> list[str]:

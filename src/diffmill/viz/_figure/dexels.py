@@ -168,8 +168,8 @@ def plot_cut_dexels(dexels: CutDexels) -> "matplotlib.figure.Figure":
         dexels: Cut ends of z rays and of x rays, at least one.
 
     Returns:
-        The figure, with a panel for each of the two that there is; the factors of
-        magnification stand in the titles.
+        The figure, with a panel for each of the two that there is; the
+        magnifications stand in the titles.
     """
     has_floor, has_wall = (bool(len(ends)) for ends in (dexels.floor, dexels.wall))
     heights = [4.4] * has_floor + [2.0] * has_wall
@@ -224,7 +224,7 @@ def _draw_floor(figure: "matplotlib.figure.SubFigure", dexels: CutDexels) -> Non
     # Heights are magnified about the ideal floor: numbers belong to the colours.
     axes.set_zticks([])
     figure.suptitle(
-        f"floor: ends of the z rays, error x {factor:g} in z",
+        f"floor: ends of the z rays, error magnified {factor:g} times in z",
         fontsize=9,
         x=0.01,
         ha="left",
@@ -262,5 +262,5 @@ def _draw_wall(axes: "matplotlib.axes.Axes", dexels: CutDexels) -> None:
     title = f"wall at x = {planes[np.argmax(counts)] * 1e-3:.3f} mm"
     quiet_axes(axes, x="y [mm]", y=r"x error [$\mathrm{\mu m}$]", title=title)
     ratio = scale_ratio(axes, 1e-3, 1e-6)
-    title += f": ends of the x rays, x drawn {ratio} times larger than y"
+    title += f": ends of the x rays, x magnified {ratio} times"
     axes.set_title(title, fontsize=9, loc="left", color=INK)

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .._style import MICROMETRE, case_style, new_figure, quiet_axes
+from .._style import GREY, INK, MICROMETRE, case_style, new_figure, quiet_axes
 
 if TYPE_CHECKING:
     import matplotlib.axes
@@ -107,3 +107,34 @@ def _draw_tuned(
         )
     quiet_axes(along, x="travel [mm]", y="override")
     along.legend(fontsize=8, frameon=False)
+
+
+def plot_fastest_feed(
+    tried: "xarray.Dataset", tolerance: float
+) -> "matplotlib.figure.Figure":
+    """Draw the largest contour error over the overrides that were tried.
+
+    Args:
+        tried: Dataset of a `FastestFeed`.
+        tolerance: Largest contour error that is allowed [m].
+
+    Returns:
+        The figure; overrides that break a limit are crosses with its name.
+    """
+    figure = new_figure(3.2)
+    axes = figure.subplots()
+    override, error = (np.asarray(tried[n], np.float64) for n in ("override", "error"))
+    broken = [str(name) for name in tried["broken"].values]
+    order = np.argsort(override)
+    axes.plot(override[order], 1e6 * error[order], color=GREY, linewidth=0.9)
+    style = case_style("corrected"), case_style("uncorrected")
+    for x, y, name in zip(override, 1e6 * error, broken, strict=True):
+        marker = "x" if name else "o"
+        axes.plot(x, y, color=style[bool(name)].colour, marker=marker, markersize=4)
+        if name:
+            axes.annotate(
+                name, (x, y), xytext=(4, 3), textcoords="offset points", fontsize=7
+            )
+    axes.axhline(1e6 * tolerance, color=INK, linewidth=0.8, linestyle=(0, (4, 2)))
+    quiet_axes(axes, x="override", y=f"largest contour error [{MICROMETRE}]")
+    return figure

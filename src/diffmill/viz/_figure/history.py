@@ -1,11 +1,20 @@
-"""Deviation and contour error over time, all cases."""
+"""Deviation and contour error over time or path length, all cases."""
 
 from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from .._cases import case_names, cutting_of, reference_case, shown_cases, values_of
+from .._cases import (
+    ABSCISSA_LABELS,
+    Abscissa,
+    abscissa,
+    case_names,
+    cutting_of,
+    reference_case,
+    shown_cases,
+    values_of,
+)
 from .._style import case_style, legend_above, new_figure, quiet_axes
 
 if TYPE_CHECKING:
@@ -16,11 +25,15 @@ if TYPE_CHECKING:
 _FLOOR_UM = 1e-2  # below this the logarithmic panel shows nothing of interest
 
 
-def plot_deviation(dataset: "xarray.Dataset") -> "matplotlib.figure.Figure":
-    """Draw the deviation in x, y, z and the contour error over time.
+def plot_deviation(
+    dataset: "xarray.Dataset", *, over: Abscissa = "time"
+) -> "matplotlib.figure.Figure":
+    """Draw the deviation in x, y, z and the contour error.
 
     Args:
         dataset: A result of `simulate` or `correct`.
+        over: Quantity of the horizontal axis: the time, or the length of the desired
+            path.
 
     Returns:
         The figure: three components, the contour error, and its absolute value on
@@ -31,35 +44,35 @@ def plot_deviation(dataset: "xarray.Dataset") -> "matplotlib.figure.Figure":
         scatters is dotted, if it is known.
     """
     figure = new_figure(7.6)
+    along = abscissa(dataset, reference_case(dataset), over)
     has_contour = "contour_error" in dataset
     panels = np.atleast_1d(figure.subplots(5 if has_contour else 3, 1, sharex=True))
     for axis, name in enumerate("xyz"):
         for case in shown_cases(dataset):
             values = values_of(dataset, "deviation", case)[:, axis]
-            _draw_line(panels[axis], dataset, case, values * 1e6)
+            _draw_line(panels[axis], along, case, values * 1e6)
         _scale_to_cut(panels[axis], dataset)
         quiet_axes(panels[axis], y=rf"$\Delta {name}$ [$\mathrm{{\mu m}}$]")
     if has_contour:
-        _draw_contour(panels[3], panels[4], dataset)
-    time = values_of(dataset, "time", reference_case(dataset))
+        _draw_contour(panels[3], panels[4], dataset, along)
     for axes in panels:
-        _shade_air(axes, time, cutting_of(dataset, reference_case(dataset)))
-        axes.set_xlim(float(time[0]), float(time[-1]))
+        _shade_air(axes, along, cutting_of(dataset, reference_case(dataset)))
+        axes.set_xlim(float(along[0]), float(along[-1]))
         axes.yaxis.set_label_coords(-0.075, 0.5)
-    panels[-1].set_xlabel("time [s]", fontsize=8.5)
+    panels[-1].set_xlabel(ABSCISSA_LABELS[over], fontsize=8.5)
     legend_above(figure, panels[-1], columns=6)
     return figure
 
 
 def _draw_line(
     axes: "matplotlib.axes.Axes",
-    dataset: "xarray.Dataset",
+    along: Float[np.ndarray, " step"],
     case: str,
     values_um: Float[np.ndarray, " step"],
 ) -> None:
     style = case_style(case)
     axes.plot(
-        values_of(dataset, "time", case),
+        along,
         values_um,
         color=style.colour,
         linewidth=style.width * 0.8,
@@ -86,15 +99,16 @@ def _draw_contour(
     signed: "matplotlib.axes.Axes",
     absolute: "matplotlib.axes.Axes",
     dataset: "xarray.Dataset",
+    along: Float[np.ndarray, " step"],
 ) -> None:
     """Draw the contour error twice: with its sign, and its size on a log scale."""
     largest, smallest = 10 * _FLOOR_UM, np.inf
     for case in case_names(dataset):
         error_um = values_of(dataset, "contour_error", case) * 1e6
         if case in shown_cases(dataset):
-            _draw_line(signed, dataset, case, error_um)
+            _draw_line(signed, along, case, error_um)
         size = np.where(cutting_of(dataset, case), np.abs(error_um), np.nan)
-        _draw_line(absolute, dataset, case, np.maximum(size, _FLOOR_UM))
+        _draw_line(absolute, along, case, np.maximum(size, _FLOOR_UM))
         largest = max(largest, float(np.nanmax(size, initial=0.0)))
         usual = size[np.isfinite(size)]
         low = np.percentile(usual, 2) if usual.size else _FLOOR_UM
@@ -103,7 +117,7 @@ def _draw_contour(
         reference = reference_case(dataset)
         expected = np.asarray(dataset["contour_error_expected"], np.float64) * 1e6
         absolute.plot(
-            values_of(dataset, "time", reference),
+            along,
             np.where(cutting_of(dataset, reference), expected, np.nan),
             color="#555555",
             linewidth=1.0,
@@ -120,15 +134,15 @@ def _draw_contour(
 
 def _shade_air(
     axes: "matplotlib.axes.Axes",
-    time: Float[np.ndarray, " step"],
+    along: Float[np.ndarray, " step"],
     cutting: Bool[np.ndarray, " step"],
 ) -> None:
-    """Shade the spans of time in which the tool does not cut."""
+    """Shade the spans in which the tool does not cut."""
     borders = np.flatnonzero(np.diff(np.concatenate([[True], cutting, [True]])))
     for start, stop in borders.reshape(-1, 2):
         axes.axvspan(
-            float(time[start]),
-            float(time[min(stop, time.shape[0] - 1)]),
+            float(along[start]),
+            float(along[min(stop, along.shape[0] - 1)]),
             color="#f1f1f1",
             linewidth=0,
             zorder=0,

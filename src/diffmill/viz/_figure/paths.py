@@ -8,6 +8,8 @@ from jaxtyping import Float
 
 from ...toolpath import contour_vector
 from .._cases import (
+    ABSCISSA_LABELS,
+    abscissa,
     chosen_case,
     cutting_of,
     reference_case,
@@ -78,8 +80,8 @@ def plot_paths(
             1, 2, 5, 10, ... that makes the uncorrected error about 5 % of the part.
 
     Returns:
-        The figure. The factor of every panel stands in its title; the zooms show the
-        two `worst_places`.
+        The figure. Every panel states its magnification in its title; the zooms show
+        the two `worst_places`.
     """
     figure, (plan, *zooms, side) = _panels(dataset)
     factor = magnification or plan_magnification(dataset)
@@ -89,7 +91,7 @@ def plot_paths(
         plan,
         x="x [mm]",
         y="y [mm]",
-        title=f"plan view, distance x {factor:g}",
+        title=f"plan view, distance magnified {factor:g} times",
     )
     for axes, place in zip(zooms, worst_places(dataset), strict=True):
         _draw_zoom(axes, plan, dataset, place)
@@ -319,20 +321,24 @@ def _draw_zoom(
 
 
 def _draw_side(axes: "matplotlib.axes.Axes", dataset: "xarray.Dataset") -> None:
-    """Draw the height above the desired floor over x, seen along y."""
+    """Draw the height above the desired path over the path length."""
     axes.axhline(0.0, color=INK, linewidth=0.7, linestyle=(0, (4, 2)), zorder=3.5)
     for name in shown_cases(dataset):
         style = case_style(name)
         deviation = values_of(dataset, "deviation", name)[:, 2] * 1e6
         deviation[~cutting_of(dataset, name)] = np.nan
-        x = values_of(dataset, "desired", name)[:, 0] * 1e3
-        axes.plot(x, deviation, color=style.colour, linewidth=style.width, alpha=0.9)
-    quiet_axes(axes, x="x [mm]", y=r"z - desired z [$\mathrm{\mu m}$]")
+        along = abscissa(dataset, name, "path_length")
+        axes.plot(
+            along, deviation, color=style.colour, linewidth=style.width, alpha=0.9
+        )
+    quiet_axes(
+        axes, x=ABSCISSA_LABELS["path_length"], y=r"z - desired z [$\mathrm{\mu m}$]"
+    )
     # The title is part of the layout from which the ratio is read.
     axes.set_title("side view", fontsize=9, loc="left", color=INK)
     ratio = scale_ratio(axes, 1e-3, 1e-6)
     axes.set_title(
-        f"side view: height above the desired path, z drawn {ratio} times larger",
+        f"side view: height above the desired path, magnified {ratio} times",
         fontsize=9,
         loc="left",
         color=INK,

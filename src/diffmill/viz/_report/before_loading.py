@@ -8,7 +8,8 @@ import numpy as np
 from ..._job import Job
 from ...robot import Robot
 from .._cases import chosen_case, place_text, reference_case, select_case, values_of
-from .._style import MICROMETRE
+from .._figure.joints import shown_units
+from .._style import length_text
 from .verdict import departure_text, tolerance_band, verdict
 
 if TYPE_CHECKING:
@@ -79,7 +80,7 @@ def _limits(dataset: "xarray.Dataset", robot: Robot) -> LoadingCheck:
     lower, upper = (
         np.asarray(x, float) for x in (robot.joint_lower, robot.joint_upper)
     )
-    scale, units = _scales(robot)
+    scale, units = shown_units(robot)
     room = np.minimum(q - lower, upper - q) * scale
     row, joint = np.unravel_index(np.nanargmin(room), room.shape)
     least = float(room[row, joint])
@@ -114,20 +115,13 @@ def _judged(is_clear: bool, is_allowed: bool) -> bool | None:
     return True if is_clear else None if is_allowed else False
 
 
-def _scales(robot: Robot) -> tuple[np.ndarray, list[str]]:
-    """Factors from the units of joints to those shown, and these."""
-    shown = {"rad": (np.degrees(1.0), "deg"), "m": (1e3, "mm")}
-    pairs = [shown[unit] for unit in robot.joint_units]
-    return np.array([scale for scale, _ in pairs]), [unit for _, unit in pairs]
-
-
 def _surface(dataset: "xarray.Dataset") -> LoadingCheck:
     name = "gouge"
     if "surface_deepest" not in dataset:
         return LoadingCheck(name, "The surface was not compared.", None)
     case, band = chosen_case(dataset), tolerance_band(dataset)
     deepest = float(select_case(dataset, case)["surface_deepest"])
-    text = f"The machined surface is up to {1e6 * deepest:.3g} {MICROMETRE} too deep."
+    text = f"The machined surface is up to {length_text(deepest)} too deep."
     return LoadingCheck(name, text, deepest <= 1.5 * band if band else None)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .._cases import case_names, place_text, select_case, values_of
-from .._style import MICROMETRE, case_style
+from .._style import MICROMETRE, case_style, length_text, number_text
 from .html import table_html
 
 if TYPE_CHECKING:
@@ -94,8 +94,7 @@ def out_of_cut_lines(dataset: "xarray.Dataset") -> list[str]:
             is_out = values_of(dataset, "is_out_of_cut", case.name) > 0.5
             error = np.abs(values_of(dataset, "contour_error", case.name))[is_out]
             text += f", first {place_text(dataset, case.name, int(np.argmax(is_out)))}"
-            text += f", with a contour error of up to {1e6 * np.nanmax(error):.3g} "
-            text += MICROMETRE
+            text += f", with a contour error of up to {length_text(np.nanmax(error))}"
         lines.append(
             f"{text}: the teeth behind such a gap take thicker chips, and the wall "
             "keeps a mark"
@@ -116,9 +115,10 @@ def parts_html(dataset: "xarray.Dataset") -> str:
     rows = [
         [
             case_style(case.name).label,
-            ", ".join(f"{value * 1e6:z.1f}" for value in case.mean),
+            ", ".join(number_text(1e6 * value) for value in case.mean),
             *(
-                f"{case.rms[part] * 1e6:.1f} / {case.maximum[part] * 1e6:.1f}"
+                f"{number_text(1e6 * case.rms[part])} / "
+                f"{number_text(1e6 * case.maximum[part])}"
                 for part in parts
             ),
             f"{case.max_acceleration:.2f}",
@@ -175,8 +175,7 @@ def surface_figures_html(dataset: "xarray.Dataset") -> str:
         header.append(titles.get(figure, f"{kind}: mean [{MICROMETRE}]"))
     rows = []
     for name, values in figures.items():
-        numbers = [1e6 * value for value in values.values()]
-        text = ["-" if np.isnan(value) else f"{value:.1f}" for value in numbers]
+        text = [number_text(1e6 * value) for value in values.values()]
         rows.append([case_style(name).label, *text])
     note = (
         "Distance of the machined surface from that of a rigid tool, where a tool cut; "

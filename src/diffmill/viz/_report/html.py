@@ -80,6 +80,14 @@ def image_html(path: Path, title: str, caption: str) -> str:
     )
 
 
+def items_html(lines: Sequence[str]) -> str:
+    """Return lines as a list, or nothing."""
+    if not lines:
+        return ""
+    items = "".join(f"<li>{escape(line)}</li>" for line in lines)
+    return f'<ul class="notes">{items}</ul>'
+
+
 def section_html(title: str, *blocks: str, is_folded: bool = False) -> str:
     """Return a titled section, or nothing when all blocks are empty.
 

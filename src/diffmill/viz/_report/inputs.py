@@ -11,6 +11,7 @@ from ..._job import Job
 from ..._padding import LONGEST
 from ..._result import RESULTS
 from ...numerics import CachedJit
+from ...robot import Robot
 from ...sim import Replay, Solution, ToothChip
 from ...workpiece import SurfaceError
 from .._figure.dexels import CutDexels
@@ -28,6 +29,7 @@ class FigureInputs(TypedDict):
     chip_row: int
     dexels: CutDexels
     surfaces: dict[str, SurfaceError]
+    robot: Robot | None
 
 
 def figure_inputs(
@@ -89,6 +91,7 @@ def figure_inputs(
             for key, error in maps.items()
             if key in mapped and len(error.error)
         },
+        robot=job.robot,
     )
 
 

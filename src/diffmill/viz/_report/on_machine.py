@@ -6,7 +6,7 @@ import numpy as np
 
 from ..._job import Job
 from .._cases import case_numbers, chosen_case, reference_case
-from .._style import MICROMETRE
+from .._style import length_text
 from .verdict import written_errors
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ def machine_lines(dataset: "xarray.Dataset", job: Job | None) -> list[str]:
     if not names:
         return []
     files = [
-        f"{name} ({written[name] * 1e6:.3g} {MICROMETRE} rms, read back and run)"
+        f"{name} ({length_text(written[name])} rms, read back and run)"
         if name in written
         else name
         for name in names

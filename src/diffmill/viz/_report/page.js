@@ -220,7 +220,7 @@
     pen.fillStyle = soft;
     pen.font = "12px system-ui, sans-serif";
     const said = state.view === "part"
-      ? `deviation drawn ${data.factor} times too large` : "";
+      ? `deviation magnified ${data.factor} times` : "";
     pen.fillText(said, 12, 20);
   }
 

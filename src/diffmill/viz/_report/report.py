@@ -36,16 +36,18 @@ from .._cases import (
     case_numbers,
     chosen_case,
     is_diverging,
+    position_text,
     reference_case,
     values_of,
 )
-from .._style import MICROMETRE, case_style
+from .._style import MICROMETRE, case_style, number_text
 from .before_loading import LoadingCheck, checks_before_loading
 from .case_parts import out_of_cut_lines, parts_html, surface_figures_html
 from .html import (
     LargeNumber,
     contents_html,
     image_html,
+    items_html,
     numbers_html,
     page_html,
     section_html,
@@ -151,12 +153,12 @@ def write_report(
         "Where the tool misses": scene,
         "Result": "\n".join(_result_blocks(dataset)),
         "Before you load it": loading,
-        "On the machine": _items(machine_lines(dataset, job)),
-        "What limited the result": _items(limits(dataset, bounds)),
+        "On the machine": items_html(machine_lines(dataset, job)),
+        "What limited the result": items_html(limits(dataset, bounds)),
         "By part of the path": parts_html(dataset),
         "Machined surface": surface_figures_html(dataset),
         "Figures": "\n".join(images),
-        "Notes": _items(notes),
+        "Notes": items_html(notes),
         "Job": f"<pre>{source}</pre>" if source else "",
         "Cost": _cost_table(costs),
         "Settings": _pairs(listed, "setting"),
@@ -213,7 +215,7 @@ def _head(
     )
     if warnings:
         shown = [line.removeprefix(_WARNING) for line in warnings]
-        text.append(f'<div class="banner bad" id="warnings">{_items(shown)}</div>')
+        text.append(f'<div class="banner bad" id="warnings">{items_html(shown)}</div>')
     text.append(numbers_html(_headline(dataset, numbers)))
     return "\n".join([*text, "</header>"])
 
@@ -259,7 +261,7 @@ def _headline(
         items.append(LargeNumber(_times(before.contour.rms, largest), text))
     else:
         items.append(LargeNumber(_length(before.contour.max), "largest contour error"))
-    force = f"{_number(before.force_mean)} N"
+    force = f"{number_text(before.force_mean)} N"
     items.append(LargeNumber(force, "mean cutting force"))
     return items
 
@@ -277,9 +279,9 @@ def _result_blocks(dataset: "xarray.Dataset") -> list[str]:
             _um(item.contour.max),
             _gain(dataset, item, reference),
             _um(item.deviation_rms),
-            _number(item.force_mean),
-            _number(item.force_maximum),
-            _number(item.removed_volume * 1e9),
+            number_text(item.force_mean),
+            number_text(item.force_maximum),
+            number_text(item.removed_volume * 1e9),
         ]
         for item in numbers
     ]
@@ -357,14 +359,6 @@ def _cost_table(costs: dict[str, dict[str, str]]) -> str:
     return table_html(["", *(case_style(case).label for case in costs)], rows)
 
 
-def _items(lines: Sequence[str]) -> str:
-    """Return lines as a list, or nothing."""
-    if not lines:
-        return ""
-    items = "".join(f"<li>{escape(line)}</li>" for line in lines)
-    return f'<ul class="notes">{items}</ul>'
-
-
 def _failure(dataset: "xarray.Dataset") -> str:
     """Reason, time and place at which the run broke off; nothing if it did not."""
     attributes = dataset.attrs
@@ -374,9 +368,9 @@ def _failure(dataset: "xarray.Dataset") -> str:
     text = str(attributes.get("incomplete_reason", "")).strip() or "It broke off."
     if "incomplete_time" in attributes:
         text += f" It stopped at {float(attributes['incomplete_time']):.4g} s"
-        place = np.ravel(attributes.get("incomplete_place", ())) * 1e3
+        place = np.ravel(attributes.get("incomplete_place", ()))
         if place.size:
-            text += f", at x, y, z = {', '.join(f'{v:.3f}' for v in place)} mm"
+            text += f", at {position_text(place)}"
         text += "."
     return text
 
@@ -391,24 +385,14 @@ def _pairs(values: dict[str, str], name: str) -> str:
 def _cell(value: object) -> str:
     """Return any attribute or cost as text."""
     if isinstance(value, (float, np.floating)):
-        return _number(float(value))
+        return number_text(float(value))
     if isinstance(value, np.ndarray):
         return ", ".join(_cell(item) for item in value.ravel())
     return str(value)
 
 
-def _number(value: float) -> str:
-    """Return three significant digits without an exponent where that is readable."""
-    if not np.isfinite(value):
-        return "-"
-    if value == 0 or 1e-3 <= abs(value) < 1e6:
-        digits = 0 if value == 0 else max(0, 2 - int(np.floor(np.log10(abs(value)))))
-        return f"{value:.{digits}f}"
-    return f"{value:.3g}"
-
-
 def _um(value: float) -> str:
-    return _number(value * 1e6)
+    return number_text(value * 1e6)
 
 
 def _length(value: float) -> str:
@@ -419,4 +403,4 @@ def _times(before: float, after: float) -> str:
     """Ratio of `before` to `after`, for a table."""
     if not (np.isfinite(before) and np.isfinite(after)) or after <= 0 or before <= 0:
         return "-"
-    return f"{_number(before / after)} x"
+    return f"{number_text(before / after)} x"

@@ -16,7 +16,7 @@ from .._cases import (
     select_case,
     values_of,
 )
-from .._style import MICROMETRE, case_style
+from .._style import case_style, length_text
 from .case_parts import case_parts
 
 if TYPE_CHECKING:
@@ -109,8 +109,8 @@ def verdict(dataset: "xarray.Dataset", *, is_complete: bool = True) -> Verdict:
         return Verdict(None, "No verdict", "Nothing was cut.")
     chatter = _chatter(dataset)
     largest, label = float(error.max()), case_style(case).label
-    text = f"{chatter}Largest contour error of the {label} path: {largest * 1e6:.3g} "
-    text += f"{MICROMETRE}{_place(dataset, case)}."
+    text = f"{chatter}Largest contour error of the {label} path: "
+    text += f"{length_text(largest)}{_place(dataset, case)}."
     expected = dataset.attrs.get("expected_contour_error_rms_m")
     model = _over_draws(dataset, case) or _learnt_text(dataset)
     model = model or (
@@ -126,7 +126,7 @@ def verdict(dataset: "xarray.Dataset", *, is_complete: bool = True) -> Verdict:
         at = values_of(dataset, "surface_deepest_at", case)
         deepest_place = f" ({position_text(at)})"
     deep = (
-        f" But the machined surface lies up to {deepest * 1e6:.3g} {MICROMETRE} inside "
+        f" But the machined surface lies up to {length_text(deepest)} inside "
         f"the part{deepest_place}, cut at steps that the contour error does not count: "
         "[correction] gouge bounds it."
     )
@@ -159,7 +159,7 @@ def verdict(dataset: "xarray.Dataset", *, is_complete: bool = True) -> Verdict:
     if expected is not None:
         text += (
             f" Of machines that scatter as [simulation] scatter says, "
-            f"{expected * 1e6:.3g} {MICROMETRE} rms is to be expected."
+            f"{length_text(expected)} rms is to be expected."
         )
     else:
         text += model
@@ -171,7 +171,7 @@ def verdict(dataset: "xarray.Dataset", *, is_complete: bool = True) -> Verdict:
     share = 100 * float(np.mean(error <= band))
     # 99.97 % is not "100 %" of a path that leaves the band.
     shown = "all" if largest <= band else f"{min(share, 99.9):.1f} %"
-    title = f"{'Within' if is_held else 'Not within'} {band * 1e6:.3g} {MICROMETRE}"
+    title = f"{'Within' if is_held else 'Not within'} {length_text(band)}"
     whose = "The command" if case != reference_case(dataset) else "The path"
     text += f" {whose} is within the tolerance at {shown} of the steps that cut."
     return Verdict(is_held, _UNSTABLE if chatter else title, text)
@@ -201,7 +201,7 @@ def _written_text(dataset: "xarray.Dataset", band: float) -> str:
     )
     text, outside = "", []
     for name, error in written.items():
-        size = f"{error * 1e6:.3g} {MICROMETRE}" if np.isfinite(error) else "not finite"
+        size = f"{length_text(error)}" if np.isfinite(error) else "not finite"
         text += f" Of {name}, read back and run: {size}."
         outside += [name] if name not in loaded and not error <= band else []
     if outside:
@@ -227,7 +227,7 @@ def _learnt_text(dataset: "xarray.Dataset") -> str:
         return ""
     return (
         " It is predicted for the machine as measured parts show it; with what they do "
-        f"not tell of it {float(expected) * 1e6:.3g} {MICROMETRE} rms are expected."
+        f"not tell of it {length_text(float(expected))} rms are expected."
     )
 
 
@@ -237,12 +237,12 @@ def _over_draws(dataset: "xarray.Dataset", case: str) -> str:
     if count is None:
         return ""
     least, largest = (
-        1e6 * float(dataset.attrs[f"{case}_draw_rms_{end}"])
+        length_text(float(dataset.attrs[f"{case}_draw_rms_{end}"]))
         for end in ("least", "largest")
     )
     return (
         f" Over the {count:.0f} draws of [correction.uncertainty] it leaves "
-        f"{least:.3g} to {largest:.3g} {MICROMETRE} rms, as the optimiser weights it."
+        f"{least} to {largest} rms, as the optimiser weights it."
     )
 
 
@@ -253,7 +253,7 @@ def _mismatch_text(dataset: "xarray.Dataset") -> str:
         return ""
     share, *errors = (float(dataset.attrs[name]) for name in names)
     stiffness, force = (
-        f"up to {1e6 * rms:.3g} {MICROMETRE} rms" if np.isfinite(rms) else "no result"
+        f"up to {length_text(rms)} rms" if np.isfinite(rms) else "no result"
         for rms in errors
     )
     return (
@@ -267,15 +267,16 @@ def _truth_text(dataset: "xarray.Dataset") -> str:
     if "truth_draws" not in dataset.attrs:
         return ""
     median, largest, before = (
-        1e6 * float(dataset.attrs[f"truth_rms_{name}"])
+        float(dataset.attrs[f"truth_rms_{name}"])
         for name in ("median", "largest", "uncorrected")
     )
     if not np.isfinite(largest):
         return " On a machine that [truth] draws about the model the run fails."
     return (
         f" On {dataset.attrs['truth_draws']:.0f} machines with reversal, links, springs"
-        f" and forces beside the model ([truth]) it leaves {median:.3g} {MICROMETRE} "
-        f"rms, {largest:.3g} on the worst, where the program leaves {before:.3g}."
+        f" and forces beside the model ([truth]) it leaves {length_text(median)} "
+        f"rms, {length_text(largest)} on the worst, where the program leaves "
+        f"{length_text(before)}."
     )
 
 
@@ -319,9 +320,10 @@ def departure_text(dataset: "xarray.Dataset") -> str:
     for rows, where in ((cuts, "where the tool cuts"), (~cuts, "in the air")):
         of_rows = np.where(rows[:, None], np.abs(offset), -1.0)
         row, axis = np.unravel_index(np.argmax(of_rows), of_rows.shape)
+        size = float(offset[row, axis])
         if rows.any():
             offsets.append(
-                f"{1e6 * offset[row, axis]:+.3g} {MICROMETRE} in {'xyz'[axis]} {where} "
+                f"{'+' * (size > 0)}{length_text(size)} in {'xyz'[axis]} {where} "
                 f"({place_text(dataset, case, int(row))})"
             )
     return (
@@ -429,10 +431,10 @@ def _constant_share(dataset: "xarray.Dataset", case: str) -> list[str]:
     share = float(mean @ mean) / square if square else 0.0
     if not share >= 0.5:
         return []
-    x, y, z = 1e6 * mean
+    x, y, z = (length_text(value) for value in mean)
     return [
         f"{min(100 * share, 100):.0f} % of the square of the contour error is a "
-        f"constant vector, {x:.3g}, {y:.3g}, {z:.3g} {MICROMETRE} in x, y, z: a static "
+        f"constant vector, {x}, {y}, {z} in x, y, z: a static "
         "bend, which a shift of the program takes out."
     ]
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import equinox as eqx
 import numpy as np
 
+from ...robot import Robot
 from ...sim import ToothChip
 from ...workpiece import SurfaceError
 from .._cases import (
@@ -21,6 +22,7 @@ from .._figure.chip import plot_chip
 from .._figure.dexels import CutDexels, plot_cut_dexels
 from .._figure.forces import ForceTrace, plot_forces
 from .._figure.history import plot_deviation
+from .._figure.joints import plot_joints
 from .._figure.paths import plan_magnification, plot_paths, worst_places
 from .._figure.sensitivity import plot_sensitivity
 from .._figure.surface import plot_surface_error
@@ -65,6 +67,7 @@ def write_figures(
     chip_row: int | None = None,
     dexels: CutDexels | None = None,
     surfaces: dict[str, SurfaceError] | None = None,
+    robot: Robot | None = None,
 ) -> dict[str, FigureFile]:
     """Write the figures of a result; those whose inputs are absent are skipped.
 
@@ -78,11 +81,12 @@ def write_figures(
         chip_row: Step of the reference case at which its revolution ends, if known.
         dexels: Ends of the cut rays, of the reference case.
         surfaces: Error of the machined surface, by case.
+        robot: The robot of the job, for the limits of its joints.
 
     Returns:
         By name, in the report's order: paths, deviation, forces, chip, surface,
-        dexels, and sensitivity where the result has it. A skipped figure has `path`
-        None and the reason in `skipped`.
+        dexels, joints where a robot moves, and sensitivity where the result has it. A
+        skipped figure has `path` None and the reason in `skipped`.
     """
     folder = Path(out_dir)
     left_out = dataset.attrs.get("surface_left_out")
@@ -94,6 +98,8 @@ def write_figures(
         "surface": lambda: _draw_surface(surfaces, left_out),
         "dexels": lambda: _of_reference(_draw_dexels(dexels), dataset),
     }
+    if robot is not None and "motor_positions" in dataset:
+        drawings["joints"] = lambda: _draw_joints(dataset, robot)
     if "sensitivity_contour_vector" in dataset:
         drawings["sensitivity"] = lambda: _draw_sensitivity(dataset)
     files = {}
@@ -144,10 +150,10 @@ def _draw_paths(dataset: "xarray.Dataset") -> _Drawing:
     )
     caption = (
         f"Plan view: the distance of each path from the desired one (dashed; grey: "
-        f"moves in the air) is drawn {factor:g} times too large, only where the tool "
-        f"cuts, as its walls show it. {places}; both are drawn to their own scale, "
-        f"which magnifies nothing, with one dot per tooth. The side view shows how "
-        f"high the tool tip runs above its desired height."
+        f"moves in the air) is magnified {factor:g} times, only where the tool cuts, "
+        f"as its walls show it. {places}; both are drawn to their own scale, nothing "
+        f"magnified, with one dot per tooth. The side view shows the height of the "
+        f"tool tip above the desired path, over the length of the path."
     )
     if len(case_names(dataset)) > 1:
         caption += " A path that follows the dashed line is what a correction is for."
@@ -267,11 +273,23 @@ def _draw_dexels(dexels: CutDexels | None) -> _Drawing:
         return _Drawing(title, "no ray was cut")
     caption = (
         "Where the rays that model the workpiece end after the cut, moved away from "
-        "their ideal ends by the factor in the title: the waves of the floor, and "
+        "their ideal ends, magnified as the titles say: the waves of the floor, and "
         "below the profile of the wall that most x rays end on. Ends on a surface that "
         "the ideal part does not have are left out."
     )
     return _Drawing(title, caption, plot_cut_dexels(dexels))
+
+
+def _draw_joints(dataset: "xarray.Dataset", robot: Robot) -> _Drawing:
+    title = "Joint positions"
+    reason = _missing(dataset, "time")
+    if reason:
+        return _Drawing(title, reason)
+    caption = (
+        "Motion of each joint. On the left it stands between the limits of the joint; "
+        "a limit that is near is a red line on the right."
+    )
+    return _Drawing(title, caption, plot_joints(dataset, robot))
 
 
 def _draw_sensitivity(dataset: "xarray.Dataset") -> _Drawing:
