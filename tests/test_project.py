@@ -1,5 +1,6 @@
 """The repository as a whole: pins, imports, and commands that must not drift apart."""
 
+import ast
 import json
 import os
 import pathlib
@@ -28,6 +29,17 @@ def shown_block(page: str, language: str) -> str:
     text = (ROOT / "docs" / page).read_text(encoding="utf-8")
     found = re.findall(rf"^```{language}\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
     return max(found, key=len)
+
+
+@pytest.mark.slow
+def test_a_job_without_a_file_runs_as_the_documentation_says():
+    text = (ROOT / "docs" / "python_start.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"^```python\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
+    (code,) = [block for block in blocks if "dm.Job(" in block]
+    made = code.split("True)\n", 1)[1].split("solution =")[0]
+    assert len(ast.parse(made).body) == 10
+    *_, rms = run_python(code).split()
+    assert 2e-5 < float(rms) < 5e-4
 
 
 def run_python(code: str) -> str:

@@ -17,6 +17,7 @@ from jax.tree_util import GetAttrKey, register_pytree_with_keys
 from jaxtyping import Array, Float
 
 from ._arrays import cast_floats, has_values, is_traced
+from ._messages import html_rows
 from ._types import FloatRows3, RealScalarLike, Transform
 from .cutter import AbstractCutter, ToolHolder
 from .cutting import AbstractForceLaw
@@ -103,7 +104,7 @@ class Job(eqx.Module):
     T_base_work: Transform
     joint_start: Float[Array, " joint"] | Float[np.ndarray, " joint"] | None
     simulation: SimulationSettings
-    correction: CorrectionSettings
+    correction: CorrectionSettings = CorrectionSettings()
     source: str = eqx.field(static=True, default="")
     program: str = eqx.field(static=True, default="")
     notes: tuple[str, ...] = eqx.field(static=True, default=())
@@ -148,6 +149,29 @@ class Job(eqx.Module):
             f"{1e3 * self.stock.spacing:g} mm apart\n"
             f"  machine: {machine}"
         )
+
+    def _repr_html_(self) -> str:
+        """The same lines as a table, for notebooks."""
+        return html_rows(repr(self))
+
+    def replace(self, **changes: object) -> "Job":
+        """Job with other values of some attributes, such as `correction`.
+
+        Args:
+            changes: New values by the names of the attributes.
+
+        Raises:
+            ValueError: An attribute does not exist.
+
+        Differentiability: the same as that of the values.
+        """
+        known = [field.name for field in dataclasses.fields(self)]
+        if unknown := sorted(set(changes) - set(known)):
+            raise ValueError(
+                f"Arguments must be attributes of a job ({', '.join(known)}), but "
+                f"found {', '.join(unknown)}."
+            )
+        return dataclasses.replace(self, **changes)
 
     @property
     def is_rigid(self) -> bool:

@@ -1,6 +1,7 @@
 """Lists of faults that can be read, whatever the file is that they quote."""
 
 from collections.abc import Sequence
+from html import escape
 
 # Characters of a line; a longer one loses what is in its middle.
 _LONGEST = 600
@@ -17,6 +18,17 @@ def shown(faults: Sequence[str], most: int = 50) -> list[str]:
     if len(faults) > most:
         lines.append("further faults are not listed.")
     return lines
+
+
+def html_rows(text: str) -> str:
+    """Table of lines as HTML, escaped: a name before a colon has a cell of its own."""
+    rows = []
+    for line in text.splitlines():
+        name, colon, value = (part.strip() for part in line.partition(": "))
+        cells = (name, value) if colon else ("", name)
+        cells = "".join(f'<td style="text-align:left">{escape(x)}</td>' for x in cells)
+        rows.append(f"<tr>{cells}</tr>")
+    return f"<table>{''.join(rows)}</table>"
 
 
 def printable(text: str) -> str:

@@ -214,6 +214,10 @@ def test_the_command_makes_the_next_part_better(here, capsys):
     assert said.strip().startswith((out / "summary.txt").read_text().strip()[:60])
     for name in ("corrected.ngc", "report.html", "causes.png", "learnt.png"):
         assert (out / name).stat().st_size > 1000
+    page = (out / "report.html").read_text(encoding="utf-8")
+    for title in ("What the parts show", "Causes", "Estimates", "Assumptions"):
+        assert f"<h2>{title}</h2>" in page
+    assert 'data-label="quantity">friction x<' in page and len(page) < 3e6
     told = np.asarray(dm.io.read_path_csv(out / "corrected.csv").positions)
     nominal = np.asarray(dm.correct(job).commanded)
     left = [dm.simulate(machine, commanded=u).contour.rms for u in (nominal, told)]
@@ -247,6 +251,8 @@ def test_advice_is_ranked_and_kept(here, monkeypatch, capsys):
     said = capsys.readouterr().out
     assert "air" in said and "9.00 um" in said
     assert (here / "learn-advise" / "summary.txt").read_text() in said
+    page = (here / "learn-advise" / "report.html").read_text()
+    assert "<b>Measure next: air.</b> It would leave 3 um rms" in page
     assert asked["names"][0] == "this part under a tracker"
     assert asked["names"][-1] == "job.toml"
     np.testing.assert_array_equal(asked["known"].sizes[:3], 0.3)

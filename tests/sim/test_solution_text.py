@@ -37,6 +37,25 @@ def test_a_job_is_five_lines(job):
     assert repr(eqx.filter(job, lambda _: False)) == seen[0]
 
 
+def test_a_notebook_shows_a_table_in_which_names_are_escaped(job):
+    named = job.replace(name="<b>slot</b>")
+    html = named._repr_html_()
+    assert html.startswith("<table>") and html.count("<tr>") == 5
+    assert "&lt;b&gt;slot" in html and "<b>" not in html
+    assert ">cutter</td>" in html and ">EndMill, 10 mm, 2 teeth, 8000 rpm</td>" in html
+
+
+def test_a_job_is_replaced_by_attributes_that_it_has(job):
+    settings = dm.CorrectionSettings(max_offset=2e-3)
+    changed = job.replace(correction=settings, notes=())
+    assert changed.correction is settings and changed.notes == ()
+    assert changed.path is job.path and job.correction is not settings
+    with pytest.raises(
+        ValueError, match=r"attributes of a job \(name, .*but found nam"
+    ):
+        job.replace(nam="x")
+
+
 def with_speed(job, speed):
     return eqx.tree_at(lambda j: j.spindle_speed, job, speed)
 

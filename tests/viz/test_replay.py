@@ -1,10 +1,14 @@
 """Figures show the process that was simulated: poses, sizes and laws are the run's."""
 
+import html
+import json
+import re
+
 import numpy as np
 import pytest
 
 import diffmill as dm
-from diffmill.viz import figure_inputs, write_figures
+from diffmill.viz import figure_inputs, show, write_figures
 from small_job import write_job
 
 JOB = {
@@ -78,6 +82,19 @@ def test_the_surface_that_is_mapped_is_that_of_the_chosen_case(tmp_path):
     assert tuple(mapped) == ("uncorrected", "mirror")
     again = figure_inputs(job, cases, mapped | {"corrected": mapped["mirror"]})
     assert tuple(again["surfaces"]) == ("uncorrected", "corrected")
+
+
+def test_a_notebook_shows_the_view_of_the_report(tmp_path):
+    job, solution = solved(tmp_path, UNEVEN)
+    surfaces = figure_inputs(job, {"predicted": solution})["surfaces"]
+    shown = show(solution, job, surfaces=surfaces)._repr_html_()
+    # A frame holds the page as an attribute: nothing of it is left unescaped.
+    page = re.fullmatch(r'<iframe [^>]*srcdoc="([^"]*)" [^>]*></iframe>', shown)
+    assert page is not None and 'sandbox="allow-scripts"' in shown
+    text = html.unescape(page[1])
+    data = json.loads(text.split('id="run-data">')[1].split("</script>")[0])
+    assert data["rows"] == STEPS and data["cases"][0]["cloud"] is not None
+    assert "<b>No tolerance stated.</b> Largest contour error" in text
 
 
 def test_a_program_that_cuts_nothing_has_no_surface(tmp_path):

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from .._job import Job
     from ..config import JobProgram
     from ..sim import Stability
+    from ..viz import StudyReport
     from ..workpiece import SurfaceError
 
 # Cases whose commands run on drawn machines, besides the corrected one.
@@ -44,6 +45,7 @@ class FinishedRun(NamedTuple):
         chatter: Chatter of the uncorrected path, which the user knows; None if there
             is none.
         draw: Writes further figures of the report to a folder; None without any.
+        study: What measured parts showed, for the report; None without any.
     """
 
     job: "Job"
@@ -54,6 +56,7 @@ class FinishedRun(NamedTuple):
     surfaces: "Mapping[str, SurfaceError] | None" = None
     chatter: "Stability | None" = None
     draw: "Callable[[pathlib.Path], dict[str, Any]] | None" = None
+    study: "StudyReport | None" = None
 
 
 def add_analyses(folder: pathlib.Path, run: FinishedRun, progress: Progress) -> int:
@@ -334,7 +337,12 @@ def _write_pictures(
     dataset = _with_notes(run.dataset, [f"warning: {x}" for x in attempts.lines()])
     with attempts.at("report"):
         write_report(
-            folder, dataset, figures, surfaces=inputs.get("surfaces"), job=run.job
+            folder,
+            dataset,
+            figures,
+            surfaces=inputs.get("surfaces"),
+            job=run.job,
+            study=run.study,
         )
     return dataset
 

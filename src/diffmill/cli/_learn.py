@@ -27,16 +27,6 @@ if TYPE_CHECKING:
     from ..config import MeasuredJob
     from ..learning import LearnedMachine
 
-# Share of its prior variance above which a parameter counts as open.
-_OPEN = 0.5
-_SHOWN = {"1": (100.0, "%"), "rad": (1e6, "urad"), "m": (1e6, "um")}
-_OBSERVED = {
-    "tip": ("tip", 1e6, "um"),
-    "wall": ("points of walls", 1e6, "um"),
-    "arm": ("tip as encoders place it", 1e6, "um"),
-    "force": ("force", 1.0, "N"),
-}
-
 
 def run_learn(
     file: pathlib.Path,
@@ -106,12 +96,14 @@ def run_learn(
         fill = _filler(folder, file, measured, found, lines)
         if found.correction is None:
             results.write(fill, force=may_replace)
-            code = _with_figures(folder, found, progress)
+            code = _with_figures(folder, measured, found, progress)
             checkpoint.remove()
             return code
         # What is drawn about the model is no longer about this machine.
         truth = dataclasses.replace(found.job.truth, draws=0)
         job = dataclasses.replace(found.job, truth=truth)
+        from ._pages.learning import learnt_report
+
         run = JobRun(True, job, folder, may_replace, progress)
         run.program, run.checkpoint = program, checkpoint
         with interruption_leaves(run.interruption_text):
@@ -125,6 +117,7 @@ def run_learn(
                     learnt_expected_rms=found.expected_rms(found.correction.after),
                 ),
                 draw=lambda target: _figures(target, found),
+                study=learnt_report(measured, found, lines),
             )
             code = add_analyses(folder, finished, progress)
             progress.write(f"results: {folder}")
@@ -191,10 +184,14 @@ def _advise(
     ]
     for line in lines:
         progress.answer(line)
-    text = "\n".join(lines) + "\n"
+    from ._pages.learning import advice_report
+
+    page = advice_report(measured, ranked, lines)
 
     def fill(target: pathlib.Path) -> None:
+        text = "\n".join(lines) + "\n"
         (target / "summary.txt").write_text(text, encoding="utf-8")
+        page.write(target)
 
     ResultsFolder.of(folder).write(fill, force=force)
     progress.write(f"results: {folder}")
@@ -203,6 +200,8 @@ def _advise(
 
 def _lines(measured: "MeasuredJob", found: "LearnedMachine") -> list[str]:
     """Lines on what was learnt."""
+    from ._pages.learning import OBSERVED, OPEN
+
     count = len(measured.parts)
     lines = [f"measured parts of {measured.job.name}: {count}", ""]
     lines.append("what they show, rms, and what is left of it:")
@@ -210,7 +209,7 @@ def _lines(measured: "MeasuredJob", found: "LearnedMachine") -> list[str]:
         f"  {'':28}{'beyond model':>14}{'machine':>10}{'process':>10}{'noise':>8}"
     )
     for one in found.explained:
-        what, scale, unit = _OBSERVED[one.observed]
+        what, scale, unit = OBSERVED[one.observed]
         name = f"{measured.part_names[one.part - 1]}, {what}"
         sizes = (one.beyond_model, one.beyond_machine, one.beyond_process, one.noise)
         model, machine, process, noise = (f"{scale * x:.3g}" for x in sizes)
@@ -232,8 +231,8 @@ def _lines(measured: "MeasuredJob", found: "LearnedMachine") -> list[str]:
     lines += [f"  {CAUSES[name]:24}{1e6 * x:8.2f} um" for name, x in causes]
     lines += ["", f"  {'parameter':22}{'value':>10}{'std. error':>12}{'before':>10}"]
     values = found.values()
-    lines += [_value_line(one) for one in values if one.open_share < _OPEN]
-    left = [one.name for one in values if one.open_share >= _OPEN]
+    lines += [_value_line(one) for one in values if one.open_share < OPEN]
+    left = [one.name for one in values if one.open_share >= OPEN]
     if left:
         lines += ["", f"not told by these parts: {', '.join(left)}"]
     return [*lines, *_next_lines(found)]
@@ -241,7 +240,9 @@ def _lines(measured: "MeasuredJob", found: "LearnedMachine") -> list[str]:
 
 def _value_line(one: "LearnedMachine.Value") -> str:
     """Line of a parameter, with its standard errors afterwards and before."""
-    scale, unit = _SHOWN.get(one.unit, (1.0, one.unit))
+    from ._pages.learning import SHOWN
+
+    scale, unit = SHOWN.get(one.unit, (1.0, one.unit))
     value, error, size = (f"{scale * x:.3g}" for x in (one.value, one.error, one.size))
     return f"  {one.name:22}{value:>10}{error:>12}{size:>10} {unit}"
 
@@ -294,14 +295,20 @@ def _figures(folder: pathlib.Path, found: "LearnedMachine") -> dict:
 
 
 def _with_figures(
-    folder: pathlib.Path, found: "LearnedMachine", progress: Progress
+    folder: pathlib.Path,
+    measured: "MeasuredJob",
+    found: "LearnedMachine",
+    progress: Progress,
 ) -> int:
-    """Add figures to results without a next command; return the exit code."""
+    """Add figures and report to results without a next command; return the code."""
+    from ._pages.learning import learnt_report
+
     attempts = Attempts()
 
     def draw(target: pathlib.Path) -> None:
         with attempts.at("figures"):
-            _figures(target, found)
+            names = list(_figures(target, found))
+            learnt_report(measured, found, _lines(measured, found)).write(target, names)
 
     attempts.add(folder, draw)
     progress.write(f"results: {folder}")

@@ -20,6 +20,7 @@ from ..._arrays import (
     on_device,
 )
 from ..._job import Job
+from ..._messages import html_rows
 from ..._padding import LONGEST, pad_rows
 from ..._result import RESULTS, SimulationFailed
 from ..._types import FloatRows, FloatRows3, readable_signature
@@ -262,6 +263,10 @@ class Solution(eqx.Module):
             f"left: {1e9 * float(self.stock.volume()):.1f} mm^3\n"
             f"  outcome: {outcome or 'successful'}"
         )
+
+    def _repr_html_(self) -> str:
+        """The same lines as a table, for notebooks."""
+        return html_rows(repr(self))
 
     def to_dataset(self) -> "xarray.Dataset":
         """Return the rows as an `xarray.Dataset`, units in the attributes."""

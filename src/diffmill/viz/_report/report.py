@@ -55,6 +55,7 @@ from .html import (
 )
 from .on_machine import machine_lines
 from .scene import scene_html
+from .study import StudyReport
 from .verdict import (
     departure_text,
     limits,
@@ -104,6 +105,7 @@ def write_report(
     *,
     surfaces: dict[str, SurfaceError] | None = None,
     job: Job | None = None,
+    study: StudyReport | None = None,
 ) -> Path:
     """Write `report.html` and return its path.
 
@@ -114,6 +116,7 @@ def write_report(
         surfaces: Surface error by case, for the part that can be turned around.
         job: For the arm and the raw part beside it, and for the bounds that limited
             the correction.
+        study: What measured parts showed before the run.
     """
     name = str(dataset.attrs.get("job", "job"))
     failure = _failure(dataset)
@@ -152,6 +155,7 @@ def write_report(
     sections = {
         "Where the tool misses": scene,
         "Result": "\n".join(_result_blocks(dataset)),
+        **({} if study is None else study.sections()),
         "Before you load it": loading,
         "On the machine": items_html(machine_lines(dataset, job)),
         "What limited the result": items_html(limits(dataset, bounds)),
