@@ -337,7 +337,7 @@ def test_load_tests_give_springs_and_name_gross_errors(folder, run):
     assert facts["outlier_rows"] == [5] and facts["left_out_error"] < 0.05
     assert len(toml["robot"]["joint_stiffness"]) == 2
     assert toml["correction"]["uncertainty"]["gaussian"] is True
-    value, error, interval, unit, _ = page_row(out, "x")
+    value, error, interval, unit, *_ = page_row(out, "x")
     assert float(value) == pytest.approx(facts["stiffness_SI"][0], rel=1e-3)
     assert float(error) == pytest.approx(facts["standard_errors_SI"][0], rel=0.06)
     low, high = map(float, interval.split(" to "))

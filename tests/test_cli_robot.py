@@ -143,3 +143,15 @@ def test_bad_input_is_refused(folder, capsys, arguments, message):
     assert main(["robot", *arguments]) == 2
     assert message in capsys.readouterr().err
     assert [p.name for p in folder.iterdir()] == ["slides.toml"]
+
+
+def test_known_robots_are_listed_with_where_their_models_are(folder, capsys):
+    assert main(["robot", "--list"]) == 0
+    said = capsys.readouterr().out
+    assert "kuka_kr210_like" in said and '"class 500 kg": 2.3, 8.6,' in said
+    # Eight arms beside those that are built in, each with its licence and place.
+    assert said.count("masses: ") == said.count("https://github.com/") == 8
+    for part in ("Apache-2.0", "BSD", "kuka_fortec_support/urdf/kr500_r2800_2"):
+        assert part in said
+    assert main(["robot"]) == 2
+    assert "found no MODEL; --list" in capsys.readouterr().err

@@ -913,6 +913,8 @@ LEFT_OUT = {
         "units.*",
         "cutting.material*",
         "robot.built_in_models",
+        "robot.drive_classes",
+        "robot.DriveClass.*",
         "robot.load",
         "robot.spindle_note",
         "use_compile_cache",

@@ -154,3 +154,87 @@ def test_what_is_wrong_is_named(write, keys, options, parts):
     text = "\n".join(problems_of(write(keys, **options)))
     for part in parts:
         assert part in text
+
+
+# Six axes with the dimensions of an arm of 200 kg.
+AXES = {
+    "a1": ("0 0 0.8", "0 0 1"),
+    "a2": ("0.3 0 0", "0 1 0"),
+    "a3": ("0 0 1.1", "0 1 0"),
+    "a4": ("0 0 0.2", "1 0 0"),
+    "a5": ("1.4 0 0", "0 1 0"),
+    "a6": ("0.2 0 0", "1 0 0"),
+}
+CLASS = {
+    "drives": "class 200 kg",
+    "tool": "tool0",
+    "tool_in_flange": {
+        "position": ["0 mm", "0 mm", "150 mm"],
+        "rpy": ["180 deg", "0 deg", "0 deg"],
+    },
+    "work_in_base": {"position": ["1500 mm", "0 mm", "800 mm"]},
+    "joint_start": ["0 deg", "0 deg", "0 deg", "0 deg", "90 deg", "0 deg"],
+}
+
+
+def arm():
+    """Return a URDF of an arm with six axes that turn, without springs."""
+    parts, below = ['<robot name="arm"><link name="base"/>'], "base"
+    for name, (place, axis) in AXES.items():
+        parts.append(
+            f'<link name="link_{name}"><inertial><mass value="100"/><inertia ixx="9" '
+            'iyy="9" izz="9" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+            f'<joint name="{name}" type="revolute"><parent link="{below}"/>'
+            f'<child link="link_{name}"/><origin xyz="{place}"/><axis xyz="{axis}"/>'
+            '<limit lower="-4" upper="4" effort="1" velocity="2"/></joint>'
+        )
+        below = f"link_{name}"
+    parts.append(
+        '<link name="tool0"/><joint name="flange" type="fixed"><parent '
+        f'link="{below}"/><child link="tool0"/><origin rpy="0 1.570796326794897 0"/>'
+        "</joint></robot>"
+    )
+    return "".join(parts)
+
+
+def test_drives_of_a_class_are_assumed_and_their_spread_counts(write):
+    job = load_job(write(CLASS, robot=arm()))
+    known = dm.robot.drive_classes()["class 200 kg"]
+    assert job.robot is not None and job.simulation.scatter is not None
+    np.testing.assert_allclose(job.robot.joint_stiffness, known.stiffness)
+    np.testing.assert_allclose(job.robot.joint_damping, known.damping)
+    # Published for the axes of a KR 210: 2.2072 MN m/rad and 4.7 kN m s/rad or less.
+    assert known.stiffness[0] == pytest.approx(2.2072e6)
+    assert 2e3 < known.damping[0] < 4.7e3
+    assert job.simulation.scatter.stiffness == known.spread > 0
+    assert job.simulation.scatter.damping == known.damping_spread > 0
+    (note,) = [n for n in job.notes if "assumed" in n]
+    assert note.startswith("[robot] drives: stiffness and damping are assumed")
+    assert "28N6" in note and "differs by 40%" in note
+
+
+def test_a_scatter_that_is_stated_is_not_assumed(write):
+    text = write(CLASS | {"joint_damping": 6 * ["2 kN*m*s/rad"]}, robot=arm())
+    text.write_text(text.read_text() + "\n[simulation.scatter]\nforce = 0.1\n")
+    scatter = load_job(text).simulation.scatter
+    assert scatter is not None
+    assert (scatter.stiffness, scatter.damping, scatter.force) == (0.4, 0.0, 0.1)
+
+
+@pytest.mark.parametrize(
+    ("robot", "keys", "parts"),
+    [
+        (arm, {"drives": "class 300 kg"}, ("[robot] drives", "class 200 kg")),
+        (gantry, {}, ("6 joints that turn", "x, y, z")),
+        (
+            None,
+            {"file": None, "model": "kuka_kr210_like", "tool": None},
+            ("a robot without springs", "axis_1"),
+        ),
+    ],
+)
+def test_drives_of_a_class_suit_robots_without_springs_alone(write, robot, keys, parts):
+    text = "" if robot is None else robot()
+    tool = {"tool": "spindle"} if robot is gantry else {}
+    problems = problems_of(write(CLASS | tool | keys, robot=text))
+    assert any(all(part in one for part in parts) for one in problems)

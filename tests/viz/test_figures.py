@@ -16,6 +16,7 @@ from diffmill.viz import (
     plot_cut_dexels,
     plot_deviation,
     plot_forces,
+    plot_jacobian,
     plot_joints,
     plot_paths,
     plot_surface_error,
@@ -89,7 +90,7 @@ def test_automatic_magnification_makes_the_deviation_visible(correction, scale):
 def test_a_deviation_that_shows_by_itself_is_not_magnified(correction):
     result = correction.assign(deviation=30 * correction["deviation"])
     title = panels_of(plot_paths(result))[0].get_title(loc="left")
-    assert title == "plan view, distance magnified 1 times"
+    assert title == "plan view, true scale"
 
 
 def nearest_on_line(point, line):
@@ -176,6 +177,15 @@ def test_side_view_states_the_ratio_of_its_axes(correction):
     ratio = ((up[1] - origin[1]) / 50e-6) / ((right[0] - origin[0]) / 10e-3)
     stated = float(re.findall(r"magnified (\S+) times", side.get_title(loc="left"))[0])
     assert stated == float(f"{ratio:.2g}")
+
+
+def test_a_jacobian_has_a_row_for_each_error_and_a_column_for_each_unknown():
+    slopes = np.arange(24.0).reshape(4, 3, 2) - 5
+    figure = plot_jacobian(slopes)
+    (image,) = panels_of(figure)[0].images
+    np.testing.assert_allclose(image.get_array(), slopes.reshape(4, 6))
+    low, high = image.get_clim()
+    assert low == -high and 17 < high <= 18
 
 
 def test_every_case_keeps_its_colour(correction):

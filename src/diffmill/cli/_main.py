@@ -350,14 +350,21 @@ def learn(
 
 def robot(
     model: Annotated[
-        tyro.conf.Positional[str],
+        tyro.conf.Positional[str | None],
         tyro.conf.arg(
             metavar="MODEL",
             help="A built-in model, a robot file (.toml, .urdf), or a job, whose robot "
             "carries its tool and is half-way through the path.",
         ),
-    ],
+    ] = None,
     *,
+    list: Annotated[
+        bool,
+        tyro.conf.arg(
+            help="List the built-in models, arms with public models, and the classes "
+            "of drives."
+        ),
+    ] = False,
     pose: Annotated[
         str | None,
         tyro.conf.arg(
@@ -371,7 +378,8 @@ def robot(
     drives: Annotated[
         pathlib.Path | None,
         tyro.conf.arg(
-            help="A TOML file with what the robot's own does not say: springs, spindle."
+            help="A TOML file with what the robot's own does not say, such as springs, "
+            'or a class of springs, such as "class 200 kg".'
         ),
     ] = None,
     out: Annotated[
@@ -383,8 +391,15 @@ def robot(
     allow_outside: _Outside = False,
 ) -> int:
     """Print masses, stiffness, modes and sag of a robot; draw it and its stiffness."""
+    if list:
+        from ._robot.known import known_lines
+
+        print("\n".join(known_lines()))
+        return 0
     from ._robot.robot import run_robot
 
+    if model is None:
+        raise BadInput("robot: found no MODEL; --list lists those that are known")
     return run_robot(
         model,
         pose=pose,

@@ -42,6 +42,7 @@ from ._figure.identified_robot import (
     plot_pose_errors as plot_pose_errors,
     plot_ring_down as plot_ring_down,
 )
+from ._figure.jacobian import plot_jacobian as plot_jacobian
 from ._figure.joints import plot_joints as plot_joints
 from ._figure.learning import (
     CAUSES as CAUSES,

@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ...viz import StudyTable
 from .rounded import Rounded
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from ...viz import StudyTable
 
 _WIDTH = 88
 
@@ -80,12 +81,15 @@ class EstimatedValue:
         return math.isfinite(self.value)
 
 
-def estimate_table(estimates: Sequence[EstimatedValue]) -> StudyTable:
+def estimate_table(estimates: Sequence[EstimatedValue]) -> "StudyTable":
     """Table of values with standard errors and 95 % intervals.
 
     Args:
         estimates: The values.
     """
+    # What takes seconds to import waits until it is needed.
+    from ...viz import StudyTable
+
     rows = []
     for one in estimates:
         cells, remark = ("-", "-", "-"), one.remark
@@ -98,6 +102,8 @@ def estimate_table(estimates: Sequence[EstimatedValue]) -> StudyTable:
             cells = (value, error, interval if math.isfinite(one.error) else "-")
         rows.append((one.name, *cells, one.unit, remark))
     header = ("quantity", "value", "standard error", "95 %", "unit", "remark")
+    if not any(remark for *_, remark in rows):
+        header, rows = header[:-1], [row[:-1] for row in rows]
     return StudyTable("Estimates", header, tuple(rows))
 
 

@@ -53,7 +53,7 @@ def run_robot(
     # Imports that take seconds wait until they are needed.
     configure_jax()
     from ...io import parse_pose
-    from ...robot import built_in_models, load, spindle_note
+    from ...robot import built_in_models, drive_classes, load, spindle_note
 
     with bad_input(), warnings.catch_warnings(record=True) as load_warnings:
         warnings.simplefilter("always")
@@ -77,6 +77,8 @@ def run_robot(
     if model in built_in_models():
         file = resources.files("diffmill.robot").joinpath("models", f"{model}.toml")
         facts["notes"].append(str(parse_toml(file.read_bytes())["description"]))
+    if (assumed := drive_classes().get(str(drives))) is not None:
+        facts["notes"].append(assumed.note())
     note = spindle_note(model, drives)
     if note is not None and facts["modes"] is not None:
         facts["notes"].append(note)

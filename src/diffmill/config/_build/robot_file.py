@@ -5,7 +5,14 @@ import warnings
 
 import numpy as np
 
-from ...robot import Robot, RobotFileWarning, built_in_models, load, spindle_note
+from ...robot import (
+    Robot,
+    RobotFileWarning,
+    built_in_models,
+    drive_classes,
+    load,
+    spindle_note,
+)
 from .._schema.job import RobotTable
 from .context import FileContext
 
@@ -26,7 +33,16 @@ def load_robot(
         needs_mass: Whether every joint must move a mass.
     """
     source, drives = _source(table, context), None
-    if table.drives is not None:
+    if table.drives in drive_classes():
+        drives = table.drives
+        context.notes.append(f"[robot] drives: {drive_classes()[drives].note()}")
+    elif table.drives is not None and table.drives.startswith("class "):
+        context.problems.append(
+            f"[robot] drives: found {table.drives!r}; allowed: "
+            f"{', '.join(drive_classes())}, or a file"
+        )
+        return None
+    elif table.drives is not None:
         drives = context.file(table.drives, "[robot] drives")
     if source is None or (drives is None and table.drives is not None):
         return None

@@ -8,8 +8,9 @@ import numpy as np
 
 from ...cutter import AbstractCutter
 from ...process import Immersion, default_element_height
+from ...robot import drive_classes
 from ...settings.machine_errors import MachineErrorSettings
-from ...settings.simulation import ChipSettings, SimulationSettings
+from ...settings.simulation import ChipSettings, ScatterSettings, SimulationSettings
 from ...toolpath import Path
 from .._check.modes import (
     check_constant_force,
@@ -116,6 +117,7 @@ def completed_simulation(
         )
     return dataclasses.replace(
         table,
+        scatter=_scatter(tables),
         angles=angles,
         substeps=substeps,
         element_height=height,
@@ -125,6 +127,23 @@ def completed_simulation(
         axes=axes,
         updates_per_period=updates if table.chip.updates_within_period else 1,
     )
+
+
+def _scatter(tables: JobTables) -> ScatterSettings | None:
+    """Scatter of the machine: that of assumed drives, where the file states none."""
+    simulation, robot = tables.simulation, tables.robot
+    assert simulation is not None
+    assumed = None if robot is None else drive_classes().get(robot.drives or "")
+    if assumed is None or robot is None or not simulation.mode.vibrates:
+        return simulation.scatter
+    stated = simulation.scatter or ScatterSettings()
+    # What the file states beside the class is not assumed.
+    spreads = {
+        "stiffness": assumed.spread if robot.joint_stiffness is None else 0.0,
+        "damping": assumed.damping_spread if robot.joint_damping is None else 0.0,
+    }
+    missing = {k: v for k, v in spreads.items() if not getattr(stated, k)}
+    return dataclasses.replace(stated, **missing)
 
 
 def _machine_faults(tables: JobTables, parts: JobParts) -> Iterator[str]:

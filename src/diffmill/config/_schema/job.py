@@ -262,7 +262,8 @@ class RobotTable(TomlTable):
     drives: Annotated[StrictStr, Field(min_length=1)] | None = Field(
         default=None,
         description="file with what the robot lacks (springs, drives, spindle), such "
-        'as "drives.toml"; nothing is added if left out',
+        'as "drives.toml", or a payload class whose springs and damping are assumed: '
+        '"class 10 kg", "class 200 kg", "class 500 kg"; nothing is added if left out',
     )
     joint_stiffness: list[Stiffness] | None = Field(
         default=None,

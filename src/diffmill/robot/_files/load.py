@@ -13,6 +13,7 @@ from ..._arrays import on_device
 from ..._toml import parse_toml
 from .._model.build import build
 from .._model.robot import Robot
+from .drive_classes import drive_classes
 from .errors import RobotFileError, RobotFileWarning
 from .setup import SPINDLE, MountedElements, apply_setup
 from .toml import read_elements
@@ -52,11 +53,12 @@ def load(
             .urdf).
         tool: Name of the tool to use, in a URDF of the link whose frame it is; may be
             left out if there is only one, in a URDF if only one link carries no other.
-        drives: Path of a TOML file that completes the robot's own: tables `stiffness`
-            and `damping`, the joints' names as keys and quantities such as "3 MN*m/rad"
-            as values; `drive`, with a table per joint; `locked`, the positions of
-            joints that cannot move; `spindle`, the body at the flange; and `base_rpy`,
-            the orientation of the base where gravity points down.
+        drives: Name of one of `drive_classes`, such as "class 200 kg", for a robot
+            without springs; or path of a TOML file that completes the robot's own:
+            tables `stiffness` and `damping`, the joints' names as keys and quantities
+            such as "3 MN*m/rad" as values; `drive`, with a table per joint; `locked`,
+            the positions of joints that cannot move; `spindle`, the body at the flange;
+            and `base_rpy`, the orientation of the base where gravity points down.
 
     Returns:
         The robot; its arrays have the floating point type that is JAX's default at
@@ -86,12 +88,15 @@ def load(
             )
         description = read_elements(document, file)
     mounted = MountedElements(description.elements, np.eye(3))
-    if drives is not None:
-        side = os.fspath(drives)
+    side = "" if drives is None else os.fspath(drives)
+    drive_class = drive_classes().get(side)
+    if side and drive_class is None:
         setup = _parse(_read_file(side), side)
         mounted = apply_setup(setup, side, description.elements, tool)
     try:
         robot = build(mounted.elements, tool=tool, name=description.name)
+        if drive_class is not None:
+            robot = drive_class.applied_to(robot)
     except ValueError as error:
         raise RobotFileError(f"{file}: {error}") from error
     _warn(robot, description.notes, file)
@@ -110,7 +115,8 @@ def spindle_note(
     """
     is_urdf = Path(model_or_file).suffix.lower() in _URDF_SUFFIXES
     side = "" if drives is None else os.fspath(drives)
-    if not is_urdf or (side and SPINDLE in _parse(_read_file(side), side)):
+    has_file = side and side not in drive_classes()
+    if not is_urdf or (has_file and SPINDLE in _parse(_read_file(side), side)):
         return None
     return (
         "the spindle counts only where a link of the URDF has its mass; else give "

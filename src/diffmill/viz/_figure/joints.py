@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     import xarray
 
 _LIMIT = "#b3261e"
+_LEAST_SPAN = 0.01  # of a vertical axis [deg or mm]
 
 
 def plot_joints(
@@ -59,7 +60,11 @@ def plot_joints(
                 label=case_style(case).label,
             )
         quiet_axes(right, title=f"{robot.joint_names[joint]} [{units[joint]}]")
-        right.ticklabel_format(useOffset=False)
+        right.ticklabel_format(useOffset=False, style="plain")
+        # Rounding of a joint that rests is no motion.
+        low, high = right.get_ylim()
+        rest = max(0.5 * (_LEAST_SPAN - (high - low)), 0.0)
+        right.set_ylim(low - rest, high + rest)
         _draw_range(left, right, limits)
     rows[-1, 1].set_xlabel(ABSCISSA_LABELS[over], fontsize=8.5, color=INK)
     legend_above(figure, rows[0, 1])

@@ -91,7 +91,8 @@ def plot_paths(
         plan,
         x="x [mm]",
         y="y [mm]",
-        title=f"plan view, distance magnified {factor:g} times",
+        title="plan view, "
+        + (f"distance magnified {factor:g} times" if factor != 1 else "true scale"),
     )
     for axes, place in zip(zooms, worst_places(dataset), strict=True):
         _draw_zoom(axes, plan, dataset, place)

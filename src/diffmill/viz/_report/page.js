@@ -362,7 +362,7 @@
   function tell() {
     const one = cases[state.chosen], row = state.row;
     const place = [0, 1, 2].map((a) => (desired[3 * row + a] + data.origin[a])
-      .toFixed(2)).join(", ");
+      .toFixed(1)).join(", ");
     const off = [0, 1, 2].map((a) => short(one.deviation[3 * row + a])).join(", ");
     readout.textContent = `${time[row].toFixed(3)} s at x, y, z = ${place} mm; `
       + `${one.label}: `

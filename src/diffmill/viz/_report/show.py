@@ -13,7 +13,7 @@ from .html import page_html
 from .scene import scene_html
 from .verdict import verdict
 
-_HEIGHT_PX = 900
+_HEIGHT_PX = 1040
 
 
 class NotebookView(eqx.Module):

@@ -140,6 +140,7 @@ def _draw_paths(dataset: "xarray.Dataset") -> _Drawing:
     if reason:
         return _Drawing(title, reason)
     factor = plan_magnification(dataset)
+    magnified = f"magnified {factor:g} times" if factor != 1 else "drawn true to scale"
     first, second = (case_style(p.case).label for p in worst_places(dataset))
     places = (
         f"A and B are the two places where the {first} path is farthest from the "
@@ -150,8 +151,8 @@ def _draw_paths(dataset: "xarray.Dataset") -> _Drawing:
     )
     caption = (
         f"Plan view: the distance of each path from the desired one (dashed; grey: "
-        f"moves in the air) is magnified {factor:g} times, only where the tool cuts, "
-        f"as its walls show it. {places}; both are drawn to their own scale, nothing "
+        f"moves in the air) is {magnified}, only where the tool cuts, as its walls "
+        f"show it. {places}; both are drawn to their own scale, nothing "
         f"magnified, with one dot per tooth. The side view shows the height of the "
         f"tool tip above the desired path, over the length of the path."
     )
