@@ -215,8 +215,9 @@ def test_feed_of_a_job(folder, capsys):
 def test_the_fastest_feed_within_a_tolerance_is_written(folder, monkeypatch, capsys):
     asked = {}
 
-    def fastest(job, tolerance, *, max_force, corrects, on_progress):
+    def fastest(job, tolerance, *, max_force, corrects, knots, on_progress):
         asked.update(tolerance=tolerance, max_force=max_force, corrects=corrects)
+        assert knots == 0
         on_progress("override 1", 0.0)
         tried = (
             correction.TriedFeed(1.0, 5.0, 2e-5, 90.0, 0.3, ""),
@@ -253,6 +254,8 @@ def test_the_fastest_feed_within_a_tolerance_is_written(folder, monkeypatch, cap
         (["--tolerance", "0 mm"], "--tolerance: found 0 mm"),
         (["--tolerance", "1 mm", "--max-force", "-1 N"], "--max-force: found -1 N"),
         (["--max-force", "100 N"], "without --tolerance"),
+        (["--along", "9"], "--along: found without --tolerance"),
+        (["--tolerance", "1 mm", "--along", "1"], "--along: found 1, but 0 or 2"),
     ],
 )
 def test_a_limit_that_is_none_is_refused_before_anything_runs(

@@ -51,7 +51,26 @@ def test_speeds_of_joints_and_forces_are_limits(job):
     assert held.best is not None and held.best.force <= 1.05 * force
 
 
+@pytest.mark.slow
+def test_an_override_along_the_path_is_faster_within_the_same_tolerance(job):
+    tolerance = 1.3 * dm.simulate(job).contour.max
+    one = fastest_feed(job, tolerance)
+    found = fastest_feed(job, tolerance, knots=9)
+    assert one.best is not None and found.best is not None
+    assert found.along is not None and found.path is not None and one.along is None
+    assert found.best.cycle_time < one.best.cycle_time
+    assert found.along.min() >= one.best.override * (1 - 1e-9)
+    assert found.along.max() <= 3.0 * (1 + 1e-9)
+    again = dm.simulate(dataclasses.replace(job, path=found.path))
+    np.testing.assert_allclose(again.contour.max, found.best.error, rtol=1e-6)
+    assert again.contour.max <= tolerance
+    # Its corners and ends are as slow as before: the gain is small here.
+    assert one.path is not None and found.path.step_count < one.path.step_count
+
+
 def test_what_has_no_fastest_feed_is_refused(job):
+    with pytest.raises(ValueError, match="`knots` must be 0 or at least 2, but is 1"):
+        fastest_feed(job, 1e-5, knots=1)
     with pytest.raises(ValueError, match="must have a soft machine"):
         fastest_feed(dataclasses.replace(job, robot=None), 1e-5)
     with pytest.raises(ValueError, match="must be positive"):

@@ -95,6 +95,7 @@ def _fastest(
             tolerance,
             max_force=largest,
             corrects=request.correct,
+            knots=request.along,
             on_progress=progress.update,
         )
     lines = _fastest_lines(job, found)
@@ -151,6 +152,13 @@ def _fastest_lines(job: "Job", found: "FastestFeed") -> list[str]:
     if found.best is None:
         return [*lines, "no feed that was tried keeps the limits"]
     why = f"; what is next breaks: {found.limited_by}" if found.limited_by else ""
+    if found.along is not None:
+        low, high = found.along.min(), found.along.max()
+        time = f"{found.best.cycle_time:.2f} s"
+        return [
+            *lines,
+            f"fastest: override along the path {low:.3f} to {high:.3f}, {time}",
+        ]
     return [*lines, f"fastest: override {found.best.override:.3f}{why}"]
 
 
@@ -238,6 +246,12 @@ def _check(job: "Job", file: pathlib.Path, request: "FeedRequest") -> None:
 
     _positive("--tolerance", request.tolerance, LENGTH)
     _positive("--max-force", request.max_force, FORCE)
+    if request.along == 1 or request.along < 0:
+        raise BadInput(
+            f"--along: found {request.along}, but 0 or 2 and more are allowed"
+        )
+    if request.along and request.tolerance is None:
+        raise BadInput("--along: found without --tolerance, with which it counts")
     if request.max_force is not None and request.tolerance is None:
         raise BadInput("--max-force: found without --tolerance, with which it counts")
     for name, values in (

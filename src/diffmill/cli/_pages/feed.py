@@ -41,9 +41,9 @@ def tradeoff_report(
             f"{tradeoff.override[k]:g}",
             f"{tradeoff.cycle_time[k]:.2f}",
             f"{1e3 * tradeoff.feed_per_tooth[k]:.3g}",
-            _micrometres(tradeoff.uncorrected[k]),
-            _micrometres(tradeoff.corrected[k]),
-            _micrometres(tradeoff.max_offset[k]),
+            _micrometres(float(tradeoff.uncorrected[k])),
+            _micrometres(float(tradeoff.corrected[k])),
+            _micrometres(float(tradeoff.max_offset[k])),
         )
         for k in order
     ]
@@ -129,7 +129,9 @@ def fastest_report(
             text_of_next = f"a larger one breaks the limit of {found.limited_by}"
         verdict = Verdict(
             True,
-            f"Override {found.best.override:.3f}",
+            f"Override {found.best.override:.3f}"
+            if found.along is None
+            else f"Override {found.along.min():.2f} to {found.along.max():.2f}",
             f"The program takes {found.best.cycle_time:.2f} s; {text_of_next}.",
         )
     return StudyReport(
@@ -140,7 +142,9 @@ def fastest_report(
         tables=(StudyTable("Feeds that were tried", header, rows, best=best),),
         assumptions=(
             *_ASSUMED,
-            "The error grows with the feed; the override is found to 2 %.",
+            "The error grows with the feed; the override is found to 2 %. One that "
+            "varies along the path was run, and keeps the limits; it need not be the "
+            "fastest of its kind.",
         ),
         notes=tuple(job.notes),
         text=text,

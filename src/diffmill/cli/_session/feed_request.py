@@ -17,6 +17,7 @@ class FeedRequest:
         tolerance: Largest contour error, with its unit, for the fastest feed that keeps
             it; None for the table of the factors.
         max_force: Largest force of that feed, with its unit, or None.
+        along: Knots of an override of that feed that varies along the path; 0 for one.
     """
 
     overrides: Annotated[
@@ -44,3 +45,10 @@ class FeedRequest:
         str | None,
         tyro.conf.arg(help='With --tolerance: largest force, such as "300 N".'),
     ] = None
+    along: Annotated[
+        int,
+        tyro.conf.arg(
+            help="With --tolerance: knots of an override that varies along the path, "
+            "such as 20; 0 for one override of the whole program."
+        ),
+    ] = 0

@@ -5,10 +5,11 @@ from typing import TYPE_CHECKING, NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from ..._job import Job
 from ..._result import SimulationFailed
-from ...sim import JobKinematics, simulate
+from ...sim import JobKinematics, Solution, simulate
 from ...toolpath import Path, PathFeed, retime
 from .._job.correct import correct
 from .._job.correction_problem import NEVER_CUTS, NothingToCorrect
@@ -25,7 +26,8 @@ class TriedFeed(NamedTuple):
     """An override that was tried.
 
     Attributes:
-        override: Factor of the feed of the whole program.
+        override: Factor of the feed of the whole program; of one that varies along the
+            path the mean.
         cycle_time: Time of the program [s].
         error: Largest contour error where the tool cuts [m].
         force: Largest force, as the mean of a tooth period [N].
@@ -51,12 +53,15 @@ class FastestFeed(eqx.Module):
         limited_by: What the next larger one breaks; empty if the largest that was
             allowed breaks nothing.
         path: The path with the best override; None without one.
+        along: The best override at knots equally spaced over the length of the path,
+            shape (knot,); None where it is one for the whole program.
     """
 
     tried: tuple[TriedFeed, ...]
     best: TriedFeed | None
     limited_by: str
     path: Path | None
+    along: Float[np.ndarray, " knot"] | None = None
 
     def to_dataset(self) -> "xarray.Dataset":
         """Overrides that were tried on the dimension `trial`."""
@@ -90,12 +95,19 @@ def fastest_feed(
     corrects: bool = False,
     lowest: float = 0.2,
     highest: float = 3.0,
+    knots: int = 0,
     on_progress: OnShare | None = None,
 ) -> FastestFeed:
     """Find the largest override of a program that keeps tolerance, force and drives.
 
     The error grows with the feed where the tool cuts; the override is found within 2 %
-    by bisection, each trial a simulation, or a correction.
+    by bisection, each trial a simulation, or a correction. An override that varies
+    along the path then goes beyond it where the error leaves room,
+
+        o(s) = o_best (1 + share (min(tolerance / e(s), highest / o_best) - 1)),
+
+    with e(s) the largest error of the best one about s; the largest share of four
+    trials that breaks no limit is taken.
 
     Args:
         job: The job; its machine must not be rigid.
@@ -104,6 +116,8 @@ def fastest_feed(
         corrects: Whether the error is that of the corrected program.
         lowest: Smallest override that is tried.
         highest: Largest one.
+        knots: Knots of an override that varies along the path, at least 2; 0 for one
+            override of the whole program.
         on_progress: Called with a message and the share done.
 
     Returns:
@@ -124,6 +138,8 @@ def fastest_feed(
             f"`highest` not below `lowest`, but are {tolerance:g}, {max_force:g}, "
             f"{lowest:g} and {highest:g}."
         )
+    if knots == 1 or knots < 0:
+        raise ValueError(f"Argument `knots` must be 0 or at least 2, but is {knots}.")
     report = on_progress or (lambda message, share: None)
     search = _Search(job, tolerance, max_force, corrects)
     good, bad, override = 0.0, np.inf, min(max(1.0, lowest), highest)
@@ -146,8 +162,21 @@ def fastest_feed(
     best = max(kept, key=lambda one: one.override, default=None)
     broken = [one for one in tried if one.broken]
     first = min(broken, key=lambda one: one.override, default=None)
-    path = None if best is None else retime(job.path, best.override)
-    return FastestFeed(tuple(tried), best, "" if first is None else first.broken, path)
+    limited_by = "" if first is None else first.broken
+    if best is None:
+        return FastestFeed(tuple(tried), None, limited_by, None)
+    along = None
+    if knots and best.override < highest:
+        room = search.room(best.override, knots, highest)
+        for trial, share in enumerate((1.0, 0.7, 0.4, 0.2)):
+            report(f"override along the path, share {share:g}", 0.8 + 0.05 * trial)
+            override = best.override * (1 + share * (room - 1))
+            tried.append(search.tried(override))
+            if not tried[-1].broken:
+                best, along = tried[-1], override
+                break
+    path = retime(job.path, best.override if along is None else along)
+    return FastestFeed(tuple(tried), best, limited_by, path, along)
 
 
 class _Search(NamedTuple):
@@ -158,17 +187,38 @@ class _Search(NamedTuple):
     max_force: float
     corrects: bool
 
-    def tried(self, override: float) -> TriedFeed:
-        """Trial of an override."""
-        path = retime(self.job.path, override)
+    def room(
+        self, override: float, knots: int, highest: float
+    ) -> Float[np.ndarray, " knot"]:
+        """Factors by which the feed may rise at the knots, if the error grows with it.
+
+        Args:
+            override: The override of the whole program.
+            knots: Number of knots.
+            highest: Largest override.
+        """
+        job = self._with(override)
+        run = self._run(job)
+        steps = np.linalg.norm(np.diff(job.path.positions, axis=0), axis=1)
+        place = np.concatenate([[0.0], np.cumsum(steps)])
+        place *= (knots - 1) / max(float(place[-1]), 1e-12)
+        error = np.abs(np.asarray(run.contour_error)) * np.asarray(run.is_cutting)
+        # A knot counts up to the next one on either side.
+        largest = np.array(
+            [error[np.abs(place - k) <= 1].max(initial=0.0) for k in range(knots)]
+        )
+        most = highest / override
+        return np.clip(self.tolerance / np.maximum(largest, 1e-12), 1.0, most)
+
+    def tried(self, override: "float | Float[np.ndarray, ' knot']") -> TriedFeed:
+        """Trial of an override, of the whole program or at knots along the path."""
         time = PathFeed.of_path(self.job.path).cycle_time(override)
-        job = eqx.tree_at(lambda j: j.path, self.job, path)
-        speed = _joint_speed(job)
+        job = self._with(override)
+        speed, mean = _joint_speed(job), float(np.mean(override))
         try:
-            run = correct(job).after if self.corrects else simulate(job)
-            run.raise_unless_successful(job)
+            run = self._run(job)
         except SimulationFailed:
-            return TriedFeed(override, time, np.nan, np.nan, speed, "run")
+            return TriedFeed(mean, time, np.nan, np.nan, speed, "run")
         cuts = np.asarray(run.is_cutting)
         if not cuts.any():
             raise NothingToCorrect(NEVER_CUTS)
@@ -180,7 +230,22 @@ class _Search(NamedTuple):
             "joint speed": speed > 1,
         }
         broken = next((name for name, is_broken in limits.items() if is_broken), "")
-        return TriedFeed(override, time, error, force, speed, broken)
+        return TriedFeed(mean, time, error, force, speed, broken)
+
+    def _with(self, override: "float | Float[np.ndarray, ' knot']") -> Job:
+        """Job whose path has an override."""
+        path = retime(self.job.path, override)
+        return eqx.tree_at(lambda j: j.path, self.job, path)
+
+    def _run(self, job: Job) -> Solution:
+        """Run of a job, corrected if that was asked for.
+
+        Raises:
+            SimulationFailed: It fails.
+        """
+        run = correct(job).after if self.corrects else simulate(job)
+        run.raise_unless_successful(job)
+        return run
 
 
 def _joint_speed(job: Job) -> float:

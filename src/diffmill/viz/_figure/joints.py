@@ -91,7 +91,7 @@ def _draw_range(
     left.axhspan(np.nanmin(moved), np.nanmax(moved), color=INK)
     # A joint that hardly moves would leave no mark.
     left.axhline(float(np.nanmean(moved)), color=INK, linewidth=1.5)
-    left.set_ylim(limits)
+    left.set_ylim(*limits)
     left.set_yticks(limits, [f"{limit:.3g}" for limit in limits])
     left.tick_params(labelsize=7, color=GREY, labelcolor=INK, length=2)
     for side in left.spines.values():
