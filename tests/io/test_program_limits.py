@@ -93,6 +93,65 @@ def test_long_lines_of_one_sign_are_refused_in_little_time(tmp_path, suffix, tex
     refused(lambda: read_program(file))
 
 
+def rapid(head, body=""):
+    return f"MODULE m\n{head}PROC main()\n{body}ENDPROC\nENDMODULE\n"
+
+
+ARRAYS = "".join(f"CONST robtarget a{k}{{100000}};\n" for k in range(100))
+E6POS = "".join(f"DECL E6POS a{k}[200000]\n" for k in range(100))
+FORS = "".join(f"FOR i{k} FROM 1 TO 9 DO\n" for k in range(300)) + "ENDFOR\n" * 300
+
+
+@pytest.mark.parametrize(
+    ("suffix", "text", "part"),
+    [
+        (".mod", rapid(ARRAYS), 'line 2: found "A0": the program keeps more than'),
+        (".mod", rapid("", "VAR num a{1,1,1,1};\n"), "3 dimensions at most"),
+        (".mod", rapid("", FORS), "line 102: blocks are in each other more than 100"),
+        (".mod", rapid("", "ENDIF\n" * 100_000), "line 3: there is no IF"),
+        (".src", f"DEF a()\n{E6POS}END\n", 'line 2: found "A0": the program keeps'),
+        (".src", "DEF a()\nDECL REAL b[3,0]\nEND\n", "a whole number from 1"),
+        (".src", "DEF a()\n" + "IF TRUE THEN\n" * 100_000, "line 102: blocks are in"),
+        (".src", "DEF a()\n" + "ENDIF\n" * 100_000, "line 2: there is no IF"),
+        (".ngc", "#1=1\n" + "o1 if [\n" * 100_000, "line 2"),
+        (".ngc", "#1=1\n" + "o1 endif\n" * 100_000, "line 2"),
+    ],
+)
+def test_values_blocks_and_faults_without_end_are_bounded(tmp_path, suffix, text, part):
+    file = tmp_path / f"many{suffix}"
+    file.write_text(text)
+    assert part in refused(lambda: read_program(file))
+
+
+BOUND = """
+import time
+from diffmill.io import ProgramError
+from diffmill.io import read_program
+begin = time.process_time()
+try:
+    read_program("bound.mod")
+except ProgramError as error:
+    print(time.process_time() - begin, error)
+"""
+LOOP = "FOR i FROM 1 TO 100000 DO\n{}\nENDFOR\n"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("head", "row", "part"),
+    [
+        ("VAR num a{500,200};\nVAR num b{500,200};\n", "a:=b;", "line 6"),
+        ("VAR num a{90000};\nPROC f(num x{*})\nENDPROC\n", "f a;", "copy more than"),
+        ("VAR num y;\n", f"y:={'+'.join(['y'] * 2000)};", "more than 250000 lines"),
+    ],
+)
+def test_long_lines_and_large_values_in_loops_are_bounded(tmp_path, head, row, part):
+    # Apart, as the million lines below.
+    (tmp_path / "bound.mod").write_text(rapid(head, LOOP.format(row)))
+    spent, _, message = python(BOUND, cwd=tmp_path, check=True).stdout.partition(" ")
+    assert part in message and float(spent) < 10.0
+
+
 SPEED = """
 import resource, time
 from diffmill.io import parse_gcode

@@ -18,7 +18,12 @@ from .expressions import (
     evaluated,
 )
 from .faults import Fault, ProgramError
-from .limits import DEEPEST_CALLS, MOST_REPEATED
+from .limits import (
+    DEEPEST_BLOCKS,
+    DEEPEST_CALLS,
+    LINE_OF_ONE_STEP,
+    MOST_REPEATED,
+)
 
 Action = Callable[["Machine"], None]
 _OTHER = {"if": "IF", "while": "WHILE", "do": "DO", "repeat": "REPEAT", "for": "FOR"}
@@ -70,15 +75,22 @@ class Code:
         steps: The steps so far.
         routines: Routines by name.
         faults: What is wrong with its blocks.
+        long_lines: How many steps more each step of a long line counts for.
     """
 
     def __init__(self) -> None:
         self.steps: list[_Step] = []
         self.routines: dict[str, Routine] = {}
         self.faults: list[Fault] = []
+        self.long_lines: dict[int, int] = {}
         self._open: list[_Open] = []
         # Steps of a label by routine and label.
         self._labels: dict[tuple[str, int], list[int]] = {}
+
+    def weigh(self, line: int, text: str) -> None:
+        """Let the steps of a long line count for several, as they take longer."""
+        if len(text) > LINE_OF_ONE_STEP:
+            self.long_lines[line] = len(text) // LINE_OF_ONE_STEP
 
     def plain(self, line: int, action: Action) -> None:
         """Append a step that goes on to the next one, or sets `Machine.at`."""
@@ -271,6 +283,9 @@ class Code:
             self.faults.append(Fault(block.line, block.label, message))
 
     def _begin(self, kind: str, line: int, label: str) -> _Open:
+        if len(self._open) >= DEEPEST_BLOCKS:
+            message = f"blocks are in each other more than {DEEPEST_BLOCKS} deep."
+            self.faults.append(Fault(line, label, message))
         self._open.append(_Open(kind, line, label, len(self.steps)))
         return self._open[-1]
 
@@ -475,14 +490,16 @@ class Machine:
 
     def _run(self, depth: int) -> None:
         """Carry steps out until calls are as deep, or the program ends."""
-        steps = self.code.steps
+        steps, long_lines = self.code.steps, self.code.long_lines
         end = len(steps)
         # What is carried out once is no repetition.
         most = end + MOST_REPEATED
+        if long_lines:
+            most += sum(long_lines.get(step.line, 0) for step in steps)
         while self.at < end and len(self._calls) > depth:
             self.line, action = steps[self.at]
             self.at += 1
-            self._step_count += 1
+            self._step_count += 1 + long_lines.get(self.line, 0)
             if self._step_count > most:
                 message = f"loops and calls carry out more than {MOST_REPEATED} lines."
                 self.refuse("", message)

@@ -6,12 +6,12 @@ A language has a `Grammar`; `Parser` makes an `Expression` of its text, a functi
 
 import functools
 import re
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, TypeAlias
 
 from .faults import ProgramError
-from .limits import MOST_VALUES
+from .limits import MOST_COPIED, MOST_VALUES
 
 # A list is an array, counted from 1, a dictionary a structure; None has no value yet.
 Value: TypeAlias = int | float | bool | str | list[Any] | dict[str, Any] | None
@@ -22,6 +22,7 @@ Expression: TypeAlias = Callable[["Variables"], Value]
 _DEEPEST_OPERAND = 40
 _LARGEST_VALUE = 1e100
 _LONGEST_STRING = 10_000
+_MOST_DIMENSIONS = 3
 
 
 class ExpressionError(ValueError):
@@ -54,7 +55,8 @@ class Variables:
         self.shared: dict[Name, Value] = {}
         self.calls: list[dict[Name, Value]] = [{}]
         self.is_own, self.missing = is_own, missing
-        self._size = 0
+        # Values that are kept, and those that have been copied so far.
+        self._size = self._copied_count = 0
 
     def __contains__(self, name: Name) -> bool:
         """True if a name has a value."""
@@ -78,15 +80,47 @@ class Variables:
         """Give a name a value of the call at work, or of the whole program."""
         self.put(self.shared if is_shared else self.calls[-1], name, value)
 
+    def declare_array(
+        self,
+        name: Name,
+        sizes: Sequence[float],
+        element: Value,
+        *,
+        is_shared: bool = False,
+    ) -> None:
+        """Declare an array of equal elements, or one of them where it has no size.
+
+        Raises:
+            ExpressionError: If it has more values than a program may keep; it is not
+                made then.
+        """
+        if not all(size >= 1 and size % 1 == 0 for size in sizes):
+            message = "the size of an array is a whole number from 1."
+            raise ExpressionError(str(name), message)
+        if len(sizes) > _MOST_DIMENSIONS:
+            message = f"an array has {_MOST_DIMENSIONS} dimensions at most."
+            raise ExpressionError(str(name), message)
+        count: float = _count(element)
+        for size in reversed(sizes):
+            count = 1 + size * count
+        if self._size + count > MOST_VALUES:
+            raise ExpressionError(str(name), _TOO_MANY)
+        self.declare(name, _array(list(map(int, sizes)), element), is_shared=is_shared)
+
     def put(
         self, holder: dict[Name, Value] | list[Value], key: Name, value: Value
     ) -> None:
         """Put a copy of a value in the place of another one, and count their parts."""
         places: Any = holder
         is_there = isinstance(holder, list) or key in holder
-        self._size += _count(value) - (_count(places[key]) if is_there else 0)
+        count = _count(value)
+        self._size += count - (_count(places[key]) if is_there else 0)
+        self._copied_count += count
         if self._size > MOST_VALUES:
             raise ExpressionError("", _TOO_MANY)
+        if self._copied_count > MOST_COPIED:
+            message = f"assignments and calls copy more than {MOST_COPIED} values."
+            raise ExpressionError("", message)
         places[key] = _copied(value)
 
     def hide(self, name: Name) -> None:
@@ -115,20 +149,24 @@ class Variables:
         return own
 
 
+# Types of values that have others in them; large ones are gone through often.
+_HOLDERS = (list, dict)
 _TOO_MANY = f"the program keeps more than {MOST_VALUES} values."
 
 
 def _count(value: Value, depth: int = 0) -> int:
     """Number of the values that a value has in it, both bounded."""
-    count = 1
-    if isinstance(value, list | dict):
-        if depth > _DEEPEST_OPERAND:
-            message = f"values are in each other more than {_DEEPEST_OPERAND} deep."
-            raise ExpressionError("", message)
-        for part in value.values() if isinstance(value, dict) else value:
-            count += _count(part, depth + 1)
-            if count > MOST_VALUES:
-                raise ExpressionError("", _TOO_MANY)
+    if not isinstance(value, _HOLDERS):
+        return 1
+    if depth > _DEEPEST_OPERAND:
+        message = f"values are in each other more than {_DEEPEST_OPERAND} deep."
+        raise ExpressionError("", message)
+    count = 1 + len(value)
+    for part in value.values() if isinstance(value, dict) else value:
+        if isinstance(part, _HOLDERS):
+            count += _count(part, depth + 1) - 1
+        if count > MOST_VALUES:
+            raise ExpressionError("", _TOO_MANY)
     return count
 
 
@@ -184,10 +222,17 @@ def _part(
 
 def _copied(value: Value) -> Value:
     if isinstance(value, list):
-        return [_copied(part) for part in value]
+        return [_copied(x) if isinstance(x, _HOLDERS) else x for x in value]
     if isinstance(value, dict):
         return {name: _copied(part) for name, part in value.items()}
     return value
+
+
+def _array(sizes: list[int], element: Value) -> Value:
+    """Array of copies of an element."""
+    if not sizes:
+        return _copied(element)
+    return [_array(sizes[1:], element) for _ in range(sizes[0])]
 
 
 class _Operand(NamedTuple):
@@ -409,6 +454,8 @@ def _call(function: Callable[..., Value], arguments: list[Expression]) -> Expres
 
 def _bounded(value: Value) -> Value:
     """The value, if it is neither too large nor no number."""
+    if type(value) is float and -_LARGEST_VALUE <= value <= _LARGEST_VALUE:
+        return value
     if isinstance(value, str) and len(value) > _LONGEST_STRING:
         raise ExpressionError(value, "a string is too long.")
     if isinstance(value, int | float) and not abs(value) <= _LARGEST_VALUE:

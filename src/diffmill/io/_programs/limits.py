@@ -18,10 +18,13 @@ MOST_MOVES = 2_000_000
 # A short line may ask for many.
 MOST_CYCLE_MOVES = 500_000
 DEEPEST_NESTING = 10
-# Lines that loops and calls carry out again, calls in each other, values of variables.
+# Lines that loops and calls carry out again, calls and blocks in each other, values.
 MOST_REPEATED = 250_000
-DEEPEST_CALLS = 100
+DEEPEST_CALLS = DEEPEST_BLOCKS = 100
 MOST_VALUES = 2_000_000
+MOST_COPIED = 20_000_000
+# Characters of a line that loops may carry out at the cost of one.
+LINE_OF_ONE_STEP = 100
 MOST_DIGITS = 300
 # A controller's longest line has some hundred characters; comments may be longer.
 LONGEST_LINE = 10_000

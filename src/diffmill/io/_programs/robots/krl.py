@@ -24,7 +24,7 @@ from ..expressions import (
     Value,
     split_arguments,
 )
-from ..faults import ProgramError
+from ..faults import SHOWN_FAULTS, ProgramError
 from ..geometry import (
     ToolAxis,
     ToolPlace,
@@ -42,7 +42,7 @@ from ..limits import (
 from ..text import split_lines
 from .krl_frames import KrlFrames, is_known, numbered_base
 from .krl_values import KrlValues
-from .language import Language
+from .language import Language, Statement
 from .reader import ExternalAxes, Reader
 
 _COMPONENT = re.compile(rf"\s*([A-Z]\d?)\s+({NUMBER})\s*", re.IGNORECASE)
@@ -206,15 +206,15 @@ def parse_krl(
             reader.refuse(number, bare, message)
         elif not _declare_data(bare, number, reader):
             _assign(bare, number, reader)
+        if len(reader.faults) > SHOWN_FAULTS:
+            break
     if reader.faults:
         raise ProgramError(pathlib.PurePath(name).stem + ".dat", reader.faults)
     rows = split_lines(text, name)
-    for number, row in enumerate(rows, 1):
-        bare = _bare(row)
-        if message := fault_of_length(bare):
-            reader.refuse(number, bare, message)
-        elif bare:
-            _compile(bare, number, reader)
+    bare = (Statement(number, _bare(row)) for number, row in enumerate(rows, 1))
+    reader.compile(
+        (one for one in bare if one.text), lambda row, line: _compile(row, line, reader)
+    )
     reader.run(len(rows), None)
     frames = reader.base_and_tool
     reader.note_upright_axis()
@@ -238,6 +238,9 @@ def parse_krl(
 def _compile(row: str, line: int, reader: _Krl) -> None:
     """Append a line to the code."""
     code, known = reader.code, reader.known
+    if message := fault_of_length(row):
+        reader.refuse(line, row, message)
+        return
     if _MOTION.match(row):
         reader.let_matter()
         reader.add(line, row)

@@ -239,12 +239,12 @@ class KrlValues:
                 self.put(f"{name}{item[2]}", start)
                 continue
             parts = self._types.get(kind, ())
-            sizes = [int(one) for one in re.findall(r"\d+", item[2] or "")]
-            if math.prod(sizes) * max(len(parts), 1) > MOST_VALUES:
-                message = f"an array has more than {MOST_VALUES} values."
-                raise ExpressionError(name, message)
-            made = _made(sizes, parts) if value is None else start
-            self.variables.declare(name, made, is_shared=is_shared)
+            if value is None:
+                sizes = [float(one) for one in re.findall(r"\d+", item[2] or "")]
+                element = dict.fromkeys(parts) if parts else None
+                self.variables.declare_array(name, sizes, element, is_shared=is_shared)
+            else:
+                self.variables.declare(name, start, is_shared=is_shared)
             self.variables.declare(f"type {name}", kind, is_shared=is_shared)
         return True
 
@@ -312,10 +312,3 @@ def components_of(value: Value) -> Frame | None:
 def _whole(parts: tuple[str, ...], value: Value) -> Value:
     """Structure with all components, of which those of a value have one."""
     return dict.fromkeys(parts) | value if isinstance(value, dict) else value
-
-
-def _made(sizes: list[int], parts: tuple[str, ...]) -> Value:
-    """Value of a variable, or of an array of them, that has none yet."""
-    if sizes:
-        return [_made(sizes[1:], parts) for _ in range(sizes[0])]
-    return dict.fromkeys(parts) if parts else None

@@ -3,7 +3,8 @@
 import functools
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from typing import NamedTuple
 
 from ..control import Code, Machine
 from ..expressions import (
@@ -16,7 +17,7 @@ from ..expressions import (
     Variables,
     split_arguments,
 )
-from ..faults import SHOWN_FAULTS
+from ..faults import SHOWN_FAULTS, ProgramError
 from ..geometry import ToolAxis
 from ..limits import LARGEST_NUMBER
 from .reader import Reader
@@ -25,6 +26,13 @@ from .texts import Texts
 
 def _too_many(count: int) -> str:
     return f"the routine takes {count} value(s) at most."
+
+
+class Statement(NamedTuple):
+    """A statement: the line at which it begins, and its text."""
+
+    line: int
+    text: str
 
 
 class Language(Reader):
@@ -54,6 +62,25 @@ class Language(Reader):
         """Take the expressions of the language, and what carries out a statement."""
         self.texts, self._statement, self._go = texts, statement, self._carry_out_step
         self.machine = Machine(self.code, texts.variables, self.out.name, self.faults)
+
+    def compile(
+        self, statements: Iterable[Statement], append: Callable[[str, int], None]
+    ) -> None:
+        """Append statements to the code.
+
+        Args:
+            statements: In their order.
+            append: Appends one, of its text and its line.
+
+        Raises:
+            ProgramError: If there are more faults than are shown.
+        """
+        code = self.code
+        for line, row in statements:
+            code.weigh(line, row)
+            append(row, line)
+            if len(self.faults) + len(code.faults) > SHOWN_FAULTS:
+                raise ProgramError(self.out.name, sorted([*self.faults, *code.faults]))
 
     def result_of(self, name: str, arguments: list[Expression]) -> Expression:
         """Value that a function of the program gives back."""

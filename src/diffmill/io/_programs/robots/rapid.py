@@ -36,10 +36,10 @@ from ..geometry import (
 )
 from ..limits import bounded_number, fault_of_length, fault_of_statement
 from ..text import split_lines
-from .language import Language
+from .language import Language, Statement
 from .rapid_values import (
     LEAST_QUATERNION,
-    declared,
+    array_of,
     made,
     numbers_of,
     record_of,
@@ -193,16 +193,15 @@ def parse_rapid(
         ProgramError: If anything but plain motion is found; up to 20 faults.
     """
     reader = _Rapid(name, tool_axis, pass_over)
-    rows = split_lines(text, name)
-    for line, statement in _statements(rows):
-        _compile(statement, line, reader)
-    begun = len(rows)
-    for other, more in modules.items():
-        sentence = f"is used too; its lines are counted from {begun + 1} on"
-        reader.out.note(other, sentence, begun + 1)
-        rows = split_lines(more, other)
-        for line, statement in _statements(rows):
-            _compile(statement, begun + line, reader)
+    begun = 0
+    for own, more in {name: text, **modules}.items():
+        if begun:
+            sentence = f"is used too; its lines are counted from {begun + 1} on"
+            reader.out.note(own, sentence, begun + 1)
+        rows = split_lines(more, own)
+        reader.compile(
+            _statements(rows, begun), lambda row, line: _compile(row, line, reader)
+        )
         begun += len(rows)
     reader.run(begun, "MAIN")
     reader.note_upright_axis()
@@ -233,10 +232,15 @@ def parse_rapid(
     )
 
 
-def _statements(rows: list[str]) -> Iterator[tuple[int, str]]:
-    """Yield the first line and the text of every statement."""
+def _statements(rows: list[str], before: int) -> Iterator[Statement]:
+    """Yield the first line and the text of every statement.
+
+    Args:
+        rows: Lines of a module.
+        before: Number of the lines before them.
+    """
     begun, parts = 0, []
-    for number, row in enumerate(rows, 1):
+    for number, row in enumerate(rows, before + 1):
         bare = re.sub(r'"[^"]*"', '""', row).split("!")[0].strip()
         pieces = bare.split(";")
         for place, piece in enumerate(pieces):
@@ -244,16 +248,16 @@ def _statements(rows: list[str]) -> Iterator[tuple[int, str]]:
             # Most are motions, which no frame is.
             is_inside = parts or piece.lstrip()[:4] == "Move"
             while not is_inside and (frame := _FRAME.match(piece, at)):
-                yield number, frame[0].strip()
+                yield Statement(number, frame[0].strip())
                 at = frame.end()
             begun = begun if parts else number
             if text := piece[at:].strip():
                 parts.append(text)
             if place < len(pieces) - 1:
-                yield begun, " ".join(parts)
+                yield Statement(begun, " ".join(parts))
                 parts = []
     if parts:
-        yield begun, " ".join(parts)
+        yield Statement(begun, " ".join(parts))
 
 
 def _compile(row: str, line: int, reader: _Rapid) -> None:
@@ -479,18 +483,23 @@ def _declare(match: re.Match[str], line: int, reader: _Rapid) -> None:
         return
     reader.kinds[name] = kind
     is_shared = not reader.machine.depth and not reader.is_running
-    is_target = kind == "ROBTARGET" and not match[3]
+    # Sizes may be constants.
+    sizes = [reader.number(one) for one in (match[3] or "").split(",") if one.strip()]
+    variables = reader.texts.variables
     try:
-        if is_target and value is not None and value.startswith("["):
+        if value is None:
+            variables.declare_array(name, sizes, made(kind), is_shared=is_shared)
+            return
+        if kind == "ROBTARGET" and not sizes and value.startswith("["):
             values = iter(_numbers(value, 17, line, reader))
-            start = _filled(made(kind, []), values)
+            start = _filled(made(kind), values)
         else:
-            start = declared(reader.texts, kind, name, match[3] or "", value)
+            start = array_of(kind, sizes, reader.texts.value(value))
     except ExpressionError:
         if kind in _OF_MOTION:
             raise
         start = None
-    reader.texts.variables.declare(name, start, is_shared=is_shared)
+    variables.declare(name, start, is_shared=is_shared)
 
 
 def _filled(record: Value, values: Iterator[float]) -> Value:

@@ -18,7 +18,6 @@ from ..expressions import (
     Variables,
 )
 from ..geometry import quaternion_of_rotation, rotation_of_abc, rotation_of_quaternion
-from ..limits import MOST_VALUES
 from .texts import FUNCTIONS, ORDERS, Texts, logical
 
 _TOKEN = re.compile(
@@ -63,12 +62,10 @@ def record_of(kind: str, value: Value) -> Value:
     return {name: record_of(inner, part) for (name, inner), part in pairs}
 
 
-def made(kind: str, sizes: list[int]) -> Value:
-    """Value of a variable, or of an array, that has none yet."""
-    if sizes:
-        return [made(kind, sizes[1:]) for _ in range(sizes[0])]
+def made(kind: str) -> Value:
+    """Value of a variable that has none yet."""
     if parts := _RECORDS.get(kind):
-        return {name: made(inner, []) for name, inner in parts.items()}
+        return {name: made(inner) for name, inner in parts.items()}
     return 0.0 if kind in ("NUM", "DNUM") else None
 
 
@@ -237,36 +234,14 @@ def texts_of_rapid(
     return Texts(Variables(missing), grammar)
 
 
-def declared(
-    texts: Texts, kind: str, name: str, sizes: str, value: str | None
-) -> Value:
-    """Value of a variable as it is declared.
-
-    Args:
-        texts: Its expressions.
-        kind: Its type, in upper case.
-        name: Its name.
-        sizes: Sizes of its array, separated by commas; "" for none.
-        value: Its first value; None for none.
+def array_of(kind: str, sizes: list[float], value: Value) -> Value:
+    """Value of a variable, or of an array, of a list in brackets.
 
     Raises:
-        ExpressionError: If the array is too large, or the value has a fault.
+        ExpressionError: If a list has another number of components.
     """
-    # Sizes may be constants.
-    found = [texts.number(one) for one in sizes.split(",") if one.strip()]
-    if not all(one >= 1 and one % 1 == 0 for one in found):
-        raise ExpressionError(name, "the size of an array is a whole number from 1.")
-    counts = [int(one) for one in found]
-    if math.prod(counts) * 20 > MOST_VALUES:
-        raise ExpressionError(name, f"an array has more than {MOST_VALUES} values.")
-    if value is None:
-        return made(kind, counts)
-    return _array_of(kind, counts, texts.value(value))
-
-
-def _array_of(kind: str, sizes: list[int], value: Value) -> Value:
     if not sizes:
         return record_of(kind, value)
     if not isinstance(value, list) or len(value) != sizes[0]:
-        raise ExpressionError("", f"needed are {sizes[0]} values of {kind.lower()}.")
-    return [_array_of(kind, sizes[1:], part) for part in value]
+        raise ExpressionError("", f"needed are {sizes[0]:g} values of {kind.lower()}.")
+    return [array_of(kind, sizes[1:], part) for part in value]

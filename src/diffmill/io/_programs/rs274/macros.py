@@ -101,10 +101,13 @@ class MacroReader:
         start, out, self.first, self.rows = 0, self.state.out, first, rows
         for line, row in rows.items():
             start = len(self.code.steps) if line == first else start
+            self.code.weigh(line, row)
             try:
                 self._row(row, line)
             except ExpressionError as error:
                 out.faults.append(Fault(line, error.word, str(error)))
+            if len(out.faults) + len(self.code.faults) > SHOWN_FAULTS:
+                break
         if self.in_program:
             self.code.end_routine(max(rows))
         self.code.finish()
