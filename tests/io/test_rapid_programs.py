@@ -156,3 +156,51 @@ def test_a_function_gives_parameters_back_and_a_counter_hides_a_variable(read):
     more = "FUNC num five(INOUT num k)\nk:=5;\nRETURN k+1;\nENDFUNC\n"
     xs = [x for x, _, _ in places(read(rapid(rows, more), ".mod"))]
     assert xs == [2, 3, 8, 64, 1]
+
+
+RECORDS = f"""MODULE m
+LOCAL RECORD part
+  robtarget at;
+  num depth;
+  string kind;
+ENDRECORD
+RECORD pair
+  part a; part b;
+ENDRECORD
+VAR pair p;
+CONST part q:=[{TARGET.format(1, 2, 3)},4,"a;!b"];
+VAR string s:="x";
+PROC main()
+VAR part list{{2}};
+p.a:=q;
+p.b.at:=q.at;
+p.b.at.trans:=[5,6,7];
+p.b.depth:=2;
+list{{2}}:=p.b;
+MoveJ p.a.at,v50,fine,tool0;
+%s
+ENDPROC
+ENDMODULE
+"""
+
+
+@pytest.mark.parametrize(
+    ("rows", "expected"),
+    [
+        (to("Offs(list{2}.at,0,0,-list{2}.depth)"), [(5, 6, 5)]),
+        ('p.a:=[p.b.at,1,""];\n' + to("p.a.at"), [(5, 6, 7)]),
+        ('s:=s+"y";\nIF s="xy" AND p.a.kind="a;!b" ' + to("list{2}.at"), [(5, 6, 7)]),
+        ('IF s="y" Stop;\nIF s="x" p.a.at.trans.x:=9;\n' + to("p.a.at"), [(9, 2, 3)]),
+        ('IF NumToStr(4,1)+StrPart("abc",2,1)="4.0b" ' + to("p.b.at"), [(5, 6, 7)]),
+        ('TPWrite "end; ! here";\nIF StrLen(p.b.kind)=0 ' + to("p.b.at"), [(5, 6, 7)]),
+    ],
+)
+def test_records_and_strings_of_a_program(read, rows, expected):
+    assert places(read(RECORDS % rows, ".mod")) == expected
+
+
+def test_a_record_with_other_components_is_refused(read):
+    with pytest.raises(ProgramError, match="a part has 3 components, not 2"):
+        read(RECORDS % "p.a:=[p.b.at,1];", ".mod")
+    with pytest.raises(ProgramError, match=r"line 3: .* is a type and a name"):
+        read(RECORDS.replace("robtarget at;", "robtarget;") % "", ".mod")

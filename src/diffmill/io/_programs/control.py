@@ -37,10 +37,17 @@ class _Step(NamedTuple):
 
 
 class Routine(NamedTuple):
-    """A routine: where its first step is, and the names of its parameters."""
+    """A routine.
+
+    Attributes:
+        start: Its first step.
+        parameters: Names of its parameters.
+        file: Values of its file; None where all files are one.
+    """
 
     start: int
     parameters: tuple[str, ...] = ()
+    file: dict[Name, Value] | None = None
 
 
 @dataclass
@@ -76,6 +83,7 @@ class Code:
         routines: Routines by name.
         faults: What is wrong with its blocks.
         long_lines: How many steps more each step of a long line counts for.
+        file: Values of the file that is compiled; None where all files are one.
     """
 
     def __init__(self) -> None:
@@ -83,6 +91,7 @@ class Code:
         self.routines: dict[str, Routine] = {}
         self.faults: list[Fault] = []
         self.long_lines: dict[int, int] = {}
+        self.file: dict[Name, Value] | None = None
         self._open: list[_Open] = []
         # Steps of a label by routine and label.
         self._labels: dict[tuple[str, int], list[int]] = {}
@@ -256,7 +265,7 @@ class Code:
             self.faults.append(Fault(line, name, "a routine has this name already."))
         over = self._jump(line)
         self._begin("routine", line, name).leaving.append(over)
-        self.routines[name] = Routine(len(self.steps), parameters)
+        self.routines[name] = Routine(len(self.steps), parameters, self.file)
 
     def end_routine(self, line: int, label: str = "") -> None:
         """End a routine: it goes back to its call."""
@@ -426,7 +435,7 @@ class Machine:
         self._calls.append(_Call(self.at, own is not None, done))
         if own is not None:
             try:
-                self.variables.enter(own)
+                self.variables.enter(own, self.code.routines[routine].file)
             except ExpressionError as error:
                 self.refuse(error.word, str(error))
         self.at = self.code.routines[routine].start

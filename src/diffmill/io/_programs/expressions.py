@@ -38,10 +38,11 @@ class ExpressionError(ValueError):
 
 
 class Variables:
-    """Values by name: those of the program, and each call's own.
+    """Values by name: those of the program, of each file, and each call's own.
 
     Attributes:
         shared: Values that all routines see.
+        file: Values that the routines of the file at work see.
         calls: Own values of the calls at work, the main program's first.
         is_own: Whether a name that nothing declares belongs to its call.
         missing: Value of a name that has none; it may raise an `ExpressionError`.
@@ -53,6 +54,8 @@ class Variables:
         is_own: Callable[[Name], bool] = lambda name: False,
     ):
         self.shared: dict[Name, Value] = {}
+        self.file: dict[Name, Value] = {}
+        self._callers: list[dict[Name, Value]] = []
         self.calls: list[dict[Name, Value]] = [{}]
         self.is_own, self.missing = is_own, missing
         # Values that are kept, and those that have been copied so far.
@@ -60,33 +63,37 @@ class Variables:
 
     def __contains__(self, name: Name) -> bool:
         """True if a name has a value."""
-        return name in self.calls[-1] or name in self.shared
+        return any(name in values for values in self._scopes())
+
+    def _scopes(self) -> Sequence[dict[Name, Value]]:
+        """Values that the call at work sees, those first that hide others."""
+        return self.calls[-1], self.file, self.shared
 
     def get(self, name: Name) -> Value:
         """Value of a name."""
-        own = self.calls[-1]
-        value = own[name] if name in own else self.shared.get(name)
+        own, file = self.calls[-1], self.file
+        values = own if name in own else file if name in file else self.shared
+        value = values.get(name)
         return self.missing(name) if value is None else value
 
     def set(self, name: Name, value: Value) -> None:
         """Give a name a value, where it is declared, else where it belongs."""
-        own = self.calls[-1]
-        values = own if name in own else self.shared
-        if name not in values:
-            values = own if self.is_own(name) else self.shared
+        new = self.calls[-1] if self.is_own(name) else self.shared
+        values = next((one for one in self._scopes() if name in one), new)
         self.put(values, name, value)
 
-    def declare(self, name: Name, value: Value, *, is_shared: bool = False) -> None:
-        """Give a name a value of the call at work, or of the whole program."""
-        self.put(self.shared if is_shared else self.calls[-1], name, value)
+    def declare(
+        self, name: Name, value: Value, values: dict[Name, Value] | None = None
+    ) -> None:
+        """Give a name a value among some; None for those of the call at work."""
+        self.put(self.calls[-1] if values is None else values, name, value)
 
     def declare_array(
         self,
         name: Name,
         sizes: Sequence[float],
         element: Value,
-        *,
-        is_shared: bool = False,
+        values: dict[Name, Value] | None = None,
     ) -> None:
         """Declare an array of equal elements, or one of them where it has no size.
 
@@ -105,7 +112,7 @@ class Variables:
             count = 1 + size * count
         if self._size + count > MOST_VALUES:
             raise ExpressionError(str(name), _TOO_MANY)
-        self.declare(name, _array(list(map(int, sizes)), element), is_shared=is_shared)
+        self.declare(name, _array(list(map(int, sizes)), element), values)
 
     def put(
         self, holder: dict[Name, Value] | list[Value], key: Name, value: Value
@@ -136,15 +143,17 @@ class Variables:
         else:
             self.declare(name, hidden)
 
-    def enter(self, own: dict[Name, Value]) -> None:
-        """Begin a call with own values."""
+    def enter(self, own: dict[Name, Value], file: dict[Name, Value] | None) -> None:
+        """Begin a call with own values, in a file with values; None for the same."""
         self.calls.append({})
+        self._callers.append(self.file)
+        self.file = self.file if file is None else file
         for name, value in own.items():
             self.put(self.calls[-1], name, value)
 
     def leave(self) -> dict[Name, Value]:
         """End a call; return its own values."""
-        own = self.calls.pop()
+        own, self.file = self.calls.pop(), self._callers.pop()
         self._size -= sum(map(_count, own.values()))
         return own
 

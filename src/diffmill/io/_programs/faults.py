@@ -13,12 +13,14 @@ class Fault(NamedTuple):
         word: The word found, as written; may be empty.
         message: What is wrong, and what is allowed.
         is_unsupported: Whether the list of all allowed words is of help.
+        file: Name of the file, where it is not that of the program.
     """
 
     line: int
     word: str
     message: str
     is_unsupported: bool = False
+    file: str = ""
 
     def __str__(self) -> str:
         """Return the fault as one line of text."""
@@ -36,11 +38,15 @@ class ProgramError(ValueError):
     """
 
     def __init__(self, name: str, faults: list[Fault], allowed: str = ""):
-        self.name = name
+        self.name, self.allowed = name, allowed
         self.faults = tuple(faults[:SHOWN_FAULTS])
-        lines = [f"{name}, {fault}" for fault in self.faults]
+        lines = [f"{fault.file or name}, {fault}" for fault in self.faults]
         if len(faults) > SHOWN_FAULTS:
             lines.append(f"{name}: further faults are not listed.")
         if allowed and any(fault.is_unsupported for fault in self.faults):
             lines.append(f"Allowed are {allowed}.")
         super().__init__("\n".join(lines))
+
+    def with_faults(self, faults: list[Fault]) -> "ProgramError":
+        """The error with other faults."""
+        return ProgramError(self.name, faults, self.allowed)

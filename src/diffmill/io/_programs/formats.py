@@ -3,7 +3,7 @@
 import math
 import os
 import pathlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 from ...toolpath import Path, Program, sample_program
 from .._path_csv import read_path_csv, write_path_csv
@@ -17,6 +17,7 @@ from .robots.writers import write_apt, write_krl, write_rapid
 from .rs274.interpreter import parse_gcode
 from .rs274.writer import ProgramFrame, write_moves
 from .setup import ProgramSetup
+from .sources import Folder
 from .text import read_text
 
 GCODE = (".ngc", ".nc", ".gcode", ".tap", ".cnc")
@@ -77,42 +78,20 @@ def read_program(
 
 def _parsed(text: str, path: pathlib.Path, setup: ProgramSetup) -> Program:
     """Return the program of a text in the language of its suffix."""
-    suffix = path.suffix.lower()
-    axis: ToolAxis = setup.tool_axis or "z"
+    suffix, name, folder = path.suffix.lower(), path.name, Folder(path.parent)
     if suffix in KRL:
-        # The .dat beside it, whatever its capitals.
-        exact = path.with_suffix(".dat")
-        files = [exact] if exact.is_file() else sorted(path.parent.iterdir())
-        files = [one for one in files if one.name.lower() == exact.name.lower()]
-        files = [one for one in files if one.is_file()]
-        data = read_text(files[0]) if files else ""
-        return parse_krl(
-            text,
-            data,
-            name=path.name,
-            tool_axis=axis,
-            pass_over=setup.pass_over,
-            feed=setup.feed,
-        )
+        return parse_krl(text, name=name, setup=setup, folder=folder)
     if suffix in RAPID:
         return _rapid(text, path, setup)
     if suffix in APT:
-        return parse_apt(text, name=path.name)
-    return parse_gcode(text, name=path.name, setup=setup)
+        return parse_apt(text, name=name)
+    return parse_gcode(text, name=name, setup=setup, folder=folder)
 
 
 def _rapid(text: str, path: pathlib.Path, setup: ProgramSetup) -> Program:
     """Return the program of a module, with those beside it if it needs them."""
-
-    def parse(modules: Mapping[str, str]) -> Program:
-        more = setup.pass_over
-        axis: ToolAxis = setup.tool_axis or "z"
-        return parse_rapid(
-            text, name=path.name, tool_axis=axis, pass_over=more, modules=modules
-        )
-
     try:
-        return parse({})
+        return parse_rapid(text, name=path.name, setup=setup)
     except ProgramError:
         beside = [
             one
@@ -122,7 +101,8 @@ def _rapid(text: str, path: pathlib.Path, setup: ProgramSetup) -> Program:
         if not beside or len(beside) > _MOST_MODULES:
             raise
         try:
-            return parse({one.name: read_text(one) for one in beside if one.is_file()})
+            texts = {one.name: read_text(one) for one in beside if one.is_file()}
+            return parse_rapid(text, name=path.name, setup=setup, modules=texts)
         except ProgramError:
             # What is wrong with this module says more than what is with them all.
             pass

@@ -14,7 +14,7 @@ LONGEST_DURATION = 1e6
 LARGEST_SPEED_RPM = 1e6
 MOST_TURNS = 10_000
 # Two million lines of motion are the longest program that is read.
-MOST_MOVES = 2_000_000
+MOST_MOVES = MOST_LINES = 2_000_000
 # A short line may ask for many.
 MOST_CYCLE_MOVES = 500_000
 DEEPEST_NESTING = 10

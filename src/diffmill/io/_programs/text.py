@@ -6,10 +6,10 @@ import pathlib
 import numpy as np
 
 from .faults import Fault, ProgramError
+from .limits import MOST_LINES
 
 # Two million lines of a program in space have less.
 MOST_BYTES = 250_000_000
-MOST_LINES = 2_000_000
 # Bytes that tell how a text is encoded.
 _HEAD_BYTES = 256
 

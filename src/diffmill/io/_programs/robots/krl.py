@@ -12,7 +12,6 @@ import itertools
 import math
 import pathlib
 import re
-from collections.abc import Sequence
 
 import numpy as np
 
@@ -39,7 +38,9 @@ from ..limits import (
     fault_of_length,
     fault_of_statement,
 )
-from ..text import split_lines
+from ..setup import ProgramSetup
+from ..sources import Folder
+from ..text import read_text, split_lines
 from .krl_frames import KrlFrames, is_known, numbered_base
 from .krl_values import KrlValues
 from .language import Language, Statement
@@ -53,13 +54,10 @@ _VELOCITIES = re.compile(
 )
 _CP_OF_DATA = re.compile(r"SVEL_CP\s*\((.*)\)", re.IGNORECASE)
 _BAS = re.compile(r"BAS\s*\(\s*#(\w+)\s*(?:,\s*(.*?)\s*)?\)", re.IGNORECASE)
-_FRAME_DATA = re.compile(
-    r"(?:GLOBAL\s+)?(?:DECL\s+)?(?:GLOBAL\s+)?FDAT\s+(\w+)\s*=\s*(\{.*\})",
-    re.IGNORECASE,
-)
-# Data of inline forms: how the tool turns along a line is all of them that counts.
-_LINE_DATA = re.compile(
-    r"(?:GLOBAL\s+)?(?:DECL\s+)?(?:GLOBAL\s+)?LDAT\s+(\w+)\s*=\s*(\{.*\})",
+_GLOBAL = re.compile(r"(?:DECL\s+)?GLOBAL\b", re.IGNORECASE)
+# Data of inline forms: numbers of tool and base, and how the tool turns along a line.
+_INLINE_DATA = re.compile(
+    r"(?:GLOBAL\s+)?(?:DECL\s+)?(?:GLOBAL\s+)?[FL]DAT\s+(\w+)\s*=\s*(\{.*\})",
     re.IGNORECASE,
 )
 _DATA_IN_FORCE = re.compile(r"([LP])DAT_ACT\s*=\s*(.+)", re.IGNORECASE)
@@ -85,6 +83,7 @@ _TIME = re.compile(
 )
 _WAIT = re.compile(r"WAIT\s+SEC\s+(.+)", re.IGNORECASE)
 _CALL = re.compile(r"([A-Z_]\w*)\s*(?:\((.*)\))?", re.IGNORECASE)
+_CALLED = re.compile(r"([A-Z_]\w*)\s*\(", re.IGNORECASE)
 _ROUTINE = re.compile(
     r"(?:GLOBAL\s+)?DEF(?:FCT\s+[A-Z]\w*(?:\[\d*\])?)?\s+([A-Z_]\w*)\s*\((.*)\)",
     re.IGNORECASE,
@@ -125,28 +124,26 @@ _JOINTS = frozenset(["A1", "A2", "A3", "A4", "A5", "A6"])
 # A spline is read as so many straight pieces between two of its points at most.
 _MOST_PIECES = 64
 _SPLINE_TOLERANCE = 0.1e-6
+_PLAIN, _NO_FOLDER = ProgramSetup(), Folder()
 
 
 class _Krl(Language):
     """State of the reader of KRL."""
 
-    def __init__(
-        self, name: str, tool_axis: ToolAxis, pass_over: Sequence[str]
-    ) -> None:
-        super().__init__(name, tool_axis, pass_over)
+    def __init__(self, name: str, setup: ProgramSetup) -> None:
+        super().__init__(name, setup)
         self.known = KrlValues(self._missing, self.result_of)
         self.use(self.known.texts, lambda row, line: _statement(row, line, self))
         # An upright tool, until the program states an orientation.
-        upright = controller_matrix(self.axis, None, tool_axis)
+        upright = controller_matrix(self.axis, None, self.tool_axis)
         self.upright = dict(zip("ABC", abc_of_rotation(upright), strict=True))
         self.values: dict[str, float] = dict.fromkeys("XYZ", 0.0) | self.upright
         self.is_turned = False
         self.first_angles: Point | None = None
         self.first_status: tuple[float, ...] = ()
         self.turns = {"ORI_TYPE": "VAR", "CIRC_TYPE": "BASE"}
-        self.line_data: dict[str, str] = {}
         self.external, self.external_axes = dict[str, float](), ExternalAxes()
-        self.base_and_tool = KrlFrames()
+        self.base_and_tool = KrlFrames(self.known)
         self.spline: list[_Knot] | None = None
         # Feed, frames and turns outside of the spline block.
         self.outer_feed: float | None = None
@@ -178,47 +175,39 @@ class _Knot:
 
 def parse_krl(
     text: str,
-    data: str = "",
     *,
     name: str = "program.src",
-    tool_axis: ToolAxis = "z",
-    pass_over: Sequence[str] = (),
-    feed: float | None = None,
+    setup: ProgramSetup = _PLAIN,
+    folder: Folder = _NO_FOLDER,
 ) -> Program:
     """Return the moves of a KRL program.
 
     Args:
         text: The .src file.
-        data: The .dat file beside it.
-        name: Name for messages.
-        tool_axis: Axis of the controller's tool that points from the shank to the tip.
-        pass_over: Names of routines of other files that move nothing.
-        feed: Feed of moves before the program states one [m/s].
+        name: Its name.
+        setup: What the program does not say.
+        folder: Folder with its .dat file, and with the files of routines that it calls.
 
     Raises:
         ProgramError: If anything but plain motion is found; up to 20 faults.
     """
-    reader = _Krl(name, tool_axis, pass_over)
-    reader.feed = feed
-    for number, row in enumerate(split_lines(data, name), 1):
-        bare = _bare(row)
-        if message := fault_of_length(bare) or fault_of_statement(bare):
-            reader.refuse(number, bare, message)
-        elif not _declare_data(bare, number, reader):
-            _assign(bare, number, reader)
-        if len(reader.faults) > SHOWN_FAULTS:
-            break
-    if reader.faults:
-        raise ProgramError(pathlib.PurePath(name).stem + ".dat", reader.faults)
-    rows = split_lines(text, name)
-    bare = (Statement(number, _bare(row)) for number, row in enumerate(rows, 1))
-    reader.compile(
-        (one for one in bare if one.text), lambda row, line: _compile(row, line, reader)
-    )
-    reader.run(len(rows), None)
-    frames = reader.base_and_tool
-    reader.note_upright_axis()
-    program = reader.out.finish(text)
+    reader = _Krl(name, setup)
+    try:
+        _take_file(text, name, reader, folder)
+        known = reader.code.routines.keys() | reader.pass_over
+        # What is called may be in another file, which calls others in turn.
+        while missing := reader.called.keys() - known:
+            for routine in sorted(missing):
+                file = folder.find([routine], [".src"])
+                if file is not None and routine not in reader.code.routines:
+                    _take_file(read_text(file), file.name, reader, folder)
+            known |= missing | reader.code.routines.keys()
+        reader.run(reader.sources.count, None)
+        frames = reader.base_and_tool
+        reader.note_upright_axis()
+        program = reader.out.finish(text)
+    except ProgramError as error:
+        raise reader.sources.located(error) from None
     sections = []
     for part in program.sections:
         position, rpy = frames.tool_pose(part.tool, reader) or (None, None)
@@ -231,8 +220,43 @@ def parse_krl(
         work_rpy=rpy,
         first_angles=reader.first_angles,
         first_status=reader.first_status,
-        tool_axis=tool_axis,
+        tool_axis=reader.tool_axis,
     )
+
+
+def _take_file(text: str, name: str, reader: _Krl, folder: Folder) -> None:
+    """Read the data beside a file, and append its routines to the code.
+
+    Raises:
+        ProgramError: If the data have a fault, or there are more than are shown.
+    """
+    variables, before = reader.known.variables, reader.known.variables.file
+    if reader.sources.count:
+        variables.file = {}
+    reader.code.file = variables.file
+    stem = pathlib.PurePath(name).stem
+    beside = folder.find([stem], [".dat"])
+    rows = [] if beside is None else split_lines(read_text(beside), beside.name)
+    for number, row in enumerate(rows, 1):
+        bare = _bare(row)
+        if message := fault_of_length(bare) or fault_of_statement(bare):
+            reader.refuse(number, bare, message)
+        elif not _declare_data(bare, number, reader):
+            _assign(bare, number, reader)
+        if len(reader.faults) > SHOWN_FAULTS:
+            break
+    if reader.faults:
+        name = f"{stem}.dat" if beside is None else beside.name
+        raise ProgramError(name, [one._replace(file=name) for one in reader.faults])
+    begun = reader.sources.count + 1
+    rows = reader.sources.lines(text, name, reader.out)
+    bare = (Statement(number, _bare(row)) for number, row in enumerate(rows, begun))
+    reader.compile(
+        (one for one in bare if one.text), lambda row, line: _compile(row, line, reader)
+    )
+    if reader.routine:
+        reader.code.end_routine(reader.sources.count)
+    reader.routine, variables.file = "", before
 
 
 def _compile(row: str, line: int, reader: _Krl) -> None:
@@ -307,23 +331,24 @@ def _compile(row: str, line: int, reader: _Krl) -> None:
     else:
         if not (_QUIET.fullmatch(row) or word in ("WAIT", "HALT", *reader.pass_over)):
             reader.let_matter()
+            # Most statements of a program with parameters assign; few call.
+            for name in _CALLED.findall(row) if "(" in row else ():
+                reader.called.setdefault(name.upper())
         reader.add(line, row)
 
 
 def _declare_data(row: str, line: int, reader: _Krl) -> bool:
     """Declare the data of a line; False if it declares nothing."""
-    if match := _FRAME_DATA.fullmatch(row):
-        reader.base_and_tool.declare(match[1], match[2])
-        return True
-    if match := _LINE_DATA.fullmatch(row):
-        reader.line_data[match[1].upper()] = match[2]
-        return True
-    is_shared = not reader.is_running or row.upper().startswith("GLOBAL")
+    variables = reader.known.variables
+    values = None if reader.is_running else variables.file
+    if _GLOBAL.match(row):
+        values = variables.shared
     try:
+        if match := _INLINE_DATA.fullmatch(row):
+            reader.known.keep_data(match[1], match[2], values)
+            return True
         return reader.known.declare(
-            row,
-            lambda text: _components(text, line, reader),
-            is_shared=is_shared,
+            row, lambda text: _components(text, line, reader), values
         )
     except ExpressionError as error:
         reader.refuse(line, error.word or row, str(error))
@@ -384,7 +409,7 @@ def _statement(row: str, line: int, reader: _Krl) -> None:
     elif match and match[1].upper() in _TURNS:
         _set_turn(match[1].upper(), match[2], line, reader)
     elif match := _DATA_IN_FORCE.fullmatch(row):
-        data = reader.line_data.get(match[2].strip().upper(), match[2])
+        data = reader.known.data(match[2]) or match[2]
         if turn := _ORIENTATION.search(data):
             _set_turn("ORI_TYPE", f"#{turn[1]}", line, reader)
     elif match := re.fullmatch(r"FDAT_ACT\s*=\s*(.+)", row, re.IGNORECASE):
@@ -458,7 +483,7 @@ def _set_turn(name: str, value: str, line: int, reader: _Krl) -> None:
     """Set how the tool turns along a motion: $ORI_TYPE or $CIRC_TYPE."""
     value = value.strip()
     if match := _OF_LINE_DATA.fullmatch(value):
-        stated = reader.line_data.get(match[2].upper(), "")
+        stated = reader.known.data(match[2])
         data = re.search(rf"{match[1]}_TYPE?\s+#(\w+)", stated, re.IGNORECASE)
         usual = "#VAR" if name == "ORI_TYPE" else "#BASE"
         value = usual if data is None else f"#{data[1]}"

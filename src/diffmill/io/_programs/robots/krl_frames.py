@@ -96,18 +96,14 @@ class KrlFrames:
         chosen: The frames in force.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, values: KrlValues) -> None:
+        self._values = values
         self.chosen = ChosenFrames()
-        self._data: dict[str, FrameData] = {}
         self._used: ChosenFrames | None = None
         # Tools that have moved by what they are known by, and their numbers.
         self._tools: dict[str, KrlTool] = {}
         self._numbers: dict[str, int | None] = {}
         self._tool_at_work: KrlTool | None = None
-
-    def declare(self, name: str, text: str) -> None:
-        """Keep FDAT data, such as {TOOL_NO 1,BASE_NO 2,IPO_FRAME #BASE}."""
-        self._data[name.upper()] = FrameData.of(text)
 
     def choose_base(self, base: Frame, line: int) -> None:
         """Let a base hold."""
@@ -149,7 +145,8 @@ class KrlFrames:
         if value.startswith("{"):
             return FrameData.of(value)
         named = _OF_DATA.fullmatch(value)
-        return self._data.get((named[1] if named else value).upper())
+        text = self._values.data(named[1] if named else value)
+        return FrameData.of(text) if text else None
 
     def choose_data(self, data: FrameData, frames: KrlValues, line: int) -> None:
         """Let tool and base of FDAT data hold."""

@@ -147,7 +147,7 @@ class KrlValues:
         self.variables = Variables(missing)
         # Places of a controller's own arrays, filled where a program does so.
         for name in ("BASE_DATA", "TOOL_DATA"):
-            self.variables.declare(name, [None] * 128, is_shared=True)
+            self.variables.declare(name, [None] * 128, self.variables.shared)
         grammar = Grammar(
             token=_TOKEN,
             # The operators of comparison bind least of all.
@@ -178,6 +178,15 @@ class KrlValues:
         self.texts = Texts(self.variables, grammar)
         self._types = dict(_TYPES)
 
+    def keep_data(self, name: str, text: str, values: dict[Name, Value] | None) -> None:
+        """Keep data of an inline form such as {TOOL_NO 1,BASE_NO 2} as written."""
+        self.variables.declare(f"data {name.upper()}", text, values)
+
+    def data(self, name: str) -> str:
+        """Data of an inline form; "" where none of this name are declared."""
+        key = f"data {name.strip().upper()}"
+        return str(self.variables.get(key)) if key in self.variables else ""
+
     def frame(self, text: str) -> Frame | None:
         """Components of a place that an expression is; None if it is none."""
         name = text.upper()
@@ -193,15 +202,14 @@ class KrlValues:
         self,
         row: str,
         literal: Callable[[str], Frame | None],
-        *,
-        is_shared: bool,
+        values: dict[Name, Value] | None,
     ) -> bool:
         """Declare the variables of a row; False if it is no declaration.
 
         Args:
             row: A line without its comment.
             literal: Reader of a place in numbers; None if it has a fault, and told it.
-            is_shared: Whether all routines see them.
+            values: Those among which they are; None for those of the call at work.
 
         Raises:
             ExpressionError: If an array is too large, or a value has a fault.
@@ -221,12 +229,11 @@ class KrlValues:
             name, value = item[1].upper(), item[3]
             if value is not None and kind not in ("INT", "REAL", "BOOL", "CHAR"):
                 if self._types.get(kind) and value.startswith("{"):
-                    self._declare_place(
-                        f"{name}{item[2] or ''}", kind, literal(value), is_shared
-                    )
+                    place = f"{name}{item[2] or ''}"
+                    self._declare_place(place, kind, literal(value), values)
                 continue
             own = self.variables.calls[-1]
-            if not is_shared and name in own:
+            if values is None and name in own:
                 # A parameter has its value from the call.
                 self.variables.declare(f"type {name}", kind)
                 if own[name] is not None:
@@ -242,21 +249,20 @@ class KrlValues:
             if value is None:
                 sizes = [float(one) for one in re.findall(r"\d+", item[2] or "")]
                 element = dict.fromkeys(parts) if parts else None
-                self.variables.declare_array(name, sizes, element, is_shared=is_shared)
+                self.variables.declare_array(name, sizes, element, values)
             else:
-                self.variables.declare(name, start, is_shared=is_shared)
-            self.variables.declare(f"type {name}", kind, is_shared=is_shared)
+                self.variables.declare(name, start, values)
+            self.variables.declare(f"type {name}", kind, values)
         return True
 
     def _declare_place(
-        self, name: str, kind: str, value: Value, is_shared: bool
+        self, name: str, kind: str, value: Value, values: dict[Name, Value] | None
     ) -> None:
         """Keep a place that is declared with its value."""
         if "[" in name:
             self.put(name, value)
             return
-        whole = _whole(self._types[kind], value)
-        self.variables.declare(name, whole, is_shared=is_shared)
+        self.variables.declare(name, _whole(self._types[kind], value), values)
 
     def assign(self, row: str) -> bool:
         """Carry out an assignment; False if a row is none.
@@ -297,7 +303,7 @@ class KrlValues:
         values = variables.get(name) if name in variables else []
         if isinstance(values, list) and len(values) < index <= MOST_VALUES:
             longer = [*values, *[None] * max(index - len(values), len(values))]
-            variables.declare(name, longer, is_shared=True)
+            variables.declare(name, longer, variables.file)
 
 
 def components_of(value: Value) -> Frame | None:

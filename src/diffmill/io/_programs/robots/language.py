@@ -3,7 +3,7 @@
 import functools
 import math
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
 from ..control import Code, Machine
@@ -18,8 +18,9 @@ from ..expressions import (
     split_arguments,
 )
 from ..faults import SHOWN_FAULTS, ProgramError
-from ..geometry import ToolAxis
 from ..limits import LARGEST_NUMBER
+from ..setup import ProgramSetup
+from ..sources import Sources
 from .reader import Reader
 from .texts import Texts
 
@@ -46,12 +47,15 @@ class Language(Reader):
         routine: The routine that is compiled now, "" outside of any.
         returned: By routine, the names of the parameters that go back to its call.
         is_running: Whether the program runs, and is no longer compiled.
+        sources: Its files.
+        called: Names of what may be a routine of another file, in their order.
     """
 
-    def __init__(self, name: str, tool_axis: ToolAxis, pass_over: Sequence[str]):
-        super().__init__(tool_axis=tool_axis)
+    def __init__(self, name: str, setup: ProgramSetup):
+        super().__init__(tool_axis=setup.tool_axis or "z", feed=setup.feed)
         self.out.name = name
-        self.pass_over = frozenset(one.upper() for one in pass_over)
+        self.pass_over = frozenset(one.upper() for one in setup.pass_over)
+        self.sources, self.called = Sources(), dict[str, None]()
         self.code, self.routine, self.is_running = Code(), "", False
         self.returned: dict[str, tuple[str, ...]] = {}
         # Of the choices that are open: what each compares, and its cases.

@@ -9,7 +9,7 @@ import dataclasses
 import functools
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -25,6 +25,7 @@ from ..expressions import (
     Variables,
     split_arguments,
 )
+from ..faults import ProgramError
 from ..geometry import (
     ToolAxis,
     ToolPlace,
@@ -35,14 +36,12 @@ from ..geometry import (
     tool_rotation,
 )
 from ..limits import bounded_number, fault_of_length, fault_of_statement
-from ..text import split_lines
+from ..setup import ProgramSetup
 from .language import Language, Statement
 from .rapid_values import (
     LEAST_QUATERNION,
-    array_of,
-    made,
+    Records,
     numbers_of,
-    record_of,
     texts_of_rapid,
 )
 from .reader import ExternalAxes, Reader
@@ -74,6 +73,8 @@ _ROUTINE = re.compile(
     r"(?:LOCAL\s+)?(PROC|FUNC\s+\w+|TRAP)\s+(\w+)\s*(?:\((.*)\))?",
     re.IGNORECASE | re.DOTALL,
 )
+_RECORD = re.compile(r"(?:LOCAL\s+)?RECORD\b", re.IGNORECASE)
+_SILENT = frozenset(["MODULE", "ENDMODULE", "VERSION", "LANGUAGE"])
 _ENDS = {"ENDIF": "if", "ENDWHILE": "while", "ENDFOR": "for"}
 # What a statement without a sign assigns.
 _COUNTS = {"INCR": "{}+1", "DECR": "{}-1", "CLEAR": "0", "ADD": "{}+"}
@@ -81,11 +82,13 @@ _SPEED = re.compile(r"v(\d+)", re.IGNORECASE)
 _OPTION = re.compile(r"\\(V|T)\s*:=\s*([^\\]*)", re.IGNORECASE)
 _OVERRIDE = re.compile(r"VelSet\s+(.*)", re.IGNORECASE | re.DOTALL)
 _WORK_OBJECT = re.compile(r"\\WObj\s*:=\s*(\w+)", re.IGNORECASE)
+_STRING = re.compile(r'"[^"]*"')
 # What no semicolon ends; a statement may follow it in its line.
 _FRAME = re.compile(
     r"\s*(?:%%%|VERSION\s*:\s*1\b|LANGUAGE\s*:\s*ENGLISH\b|MODULE\s+\w+(?:\s*\([^()]*\))?"
     r"|(?:LOCAL\s+)?(?:PROC|FUNC\s+\w+)\s+\w+\s*\([^()]*\)|TRAP\s+\w+"
-    r"|(?:END(?:MODULE|PROC|FUNC|TRAP|IF|WHILE|FOR|TEST)|ELSE|ERROR|UNDO|BACKWARD)\b"
+    r"|(?:LOCAL\s+)?RECORD\s+\w+"
+    r"|(?:END(?:MODULE|PROC|FUNC|TRAP|IF|WHILE|FOR|TEST|RECORD)|ELSE|ERROR|UNDO|BACKWARD)\b"
     r"|(?:IF|ELSEIF)\b[^;]*?\bTHEN\b|(?:WHILE|FOR)\b[^;]*?\bDO\b"
     r"|(?:CASE\b[^:]*|DEFAULT|\w+)\s*:(?!=)|TEST\b[^;]*?(?=\s*$|\bCASE\b))\s*",
     re.IGNORECASE,
@@ -108,19 +111,21 @@ _OF_MOTION = frozenset(
 )
 # Speed of the predefined vmax [m/s].
 _VMAX = 5.0
+_PLAIN = ProgramSetup()
 
 
 class _Rapid(Language):
     """State of the reader of RAPID."""
 
-    def __init__(
-        self, name: str, tool_axis: ToolAxis, pass_over: Sequence[str]
-    ) -> None:
-        super().__init__(name, tool_axis, pass_over)
+    def __init__(self, name: str, setup: ProgramSetup) -> None:
+        super().__init__(name, setup)
         texts = texts_of_rapid(self._missing, self.result_of)
         self.use(texts, lambda row, line: _statement(row, line, self))
         # Types of variables by name.
         self.kinds: dict[str, str] = {}
+        self.records = Records()
+        # Components of the record that is defined now; None outside of any.
+        self.components: dict[str, str] | None = None
         # Counters of the loops that are open while the program is compiled.
         self.counters: list[str] = []
         self.frame: str | None = None
@@ -176,34 +181,36 @@ def parse_rapid(
     text: str,
     *,
     name: str = "program.mod",
-    tool_axis: ToolAxis = "z",
-    pass_over: Sequence[str] = (),
+    setup: ProgramSetup = _PLAIN,
     modules: Mapping[str, str] = MappingProxyType({}),
 ) -> Program:
     """Return the moves of a RAPID module.
 
     Args:
         text: The module.
-        name: Name for messages.
-        tool_axis: Axis of the controller's tool that points from the shank to the tip.
-        pass_over: Names of routines of other files that move nothing.
+        name: Its name.
+        setup: What the program does not say.
         modules: Texts of other modules of the task, by the names of their files.
 
     Raises:
         ProgramError: If anything but plain motion is found; up to 20 faults.
     """
-    reader = _Rapid(name, tool_axis, pass_over)
-    begun = 0
-    for own, more in {name: text, **modules}.items():
-        if begun:
-            sentence = f"is used too; its lines are counted from {begun + 1} on"
-            reader.out.note(own, sentence, begun + 1)
-        rows = split_lines(more, own)
-        reader.compile(
-            _statements(rows, begun), lambda row, line: _compile(row, line, reader)
-        )
-        begun += len(rows)
-    reader.run(begun, "MAIN")
+    reader = _Rapid(name, setup)
+    try:
+        for file, more in {name: text, **modules}.items():
+            before = reader.sources.count
+            rows = reader.sources.lines(more, file, reader.out)
+            reader.compile(
+                _statements(rows, before), lambda row, line: _compile(row, line, reader)
+            )
+        reader.run(reader.sources.count, "MAIN")
+        return _finished(text, reader)
+    except ProgramError as error:
+        raise reader.sources.located(error) from None
+
+
+def _finished(text: str, reader: _Rapid) -> Program:
+    """Program with the poses of its work object and its tools."""
     reader.note_upright_axis()
     program = reader.out.finish(text)
     if reader.work_object is not None:
@@ -221,15 +228,19 @@ def parse_rapid(
         pose = None if data is None else data.pose()
         if pose is not None:
             position, R = pose
-            rpy = rpy_of_rotation(tool_rotation(R, tool_axis))
+            rpy = rpy_of_rotation(tool_rotation(R, reader.tool_axis))
             part = part._replace(tool_position=position, tool_rpy=rpy)
         sections.append(part)
     return dataclasses.replace(
         program,
         sections=tuple(sections),
         first_status=reader.first_status,
-        tool_axis=tool_axis,
+        tool_axis=reader.tool_axis,
     )
+
+
+def _mask(match: re.Match[str]) -> str:
+    return "_" * len(match[0])
 
 
 def _statements(rows: list[str], before: int) -> Iterator[Statement]:
@@ -241,8 +252,14 @@ def _statements(rows: list[str], before: int) -> Iterator[Statement]:
     """
     begun, parts = 0, []
     for number, row in enumerate(rows, before + 1):
-        bare = re.sub(r'"[^"]*"', '""', row).split("!")[0].strip()
-        pieces = bare.split(";")
+        pieces = [row.strip()]
+        if "!" in row or ";" in row:
+            # Signs in a string are none.
+            masked = row if '"' not in row else _STRING.sub(_mask, row)
+            bare, pieces = row[: (masked + "!").index("!")], []
+            for piece in masked[: len(bare)].split(";"):
+                pieces.append(bare[: len(piece)].strip())
+                bare = bare[len(piece) + 1 :]
         for place, piece in enumerate(pieces):
             at = 0
             # Most are motions, which no frame is.
@@ -269,8 +286,12 @@ def _compile(row: str, line: int, reader: _Rapid) -> None:
     elif _MOVE.match(row):
         reader.let_matter()
         reader.add(line, row)
+    elif reader.components is not None or _RECORD.match(row):
+        _compile_record(row, line, reader)
     elif (
-        not row or word in ("MODULE", "ENDMODULE", "VERSION", "LANGUAGE") or "%" in row
+        not row
+        or word in ("MODULE", "ENDMODULE", "VERSION", "LANGUAGE")
+        or row.startswith("%%%")
     ):
         return
     elif routine := _ROUTINE.fullmatch(row):
@@ -343,6 +364,20 @@ def _compile(row: str, line: int, reader: _Rapid) -> None:
         if not (_QUIET.fullmatch(row) or word in ("WAITTIME", *reader.pass_over)):
             reader.let_matter()
         reader.add(line, row)
+
+
+def _compile_record(row: str, line: int, reader: _Rapid) -> None:
+    """Begin or end a record, or take one of its components."""
+    words = row.upper().removeprefix("LOCAL").split()
+    if words[:1] == ["ENDRECORD"]:
+        reader.components = None
+    elif reader.components is None and len(words) == 2:
+        reader.components = {}
+        reader.records.define(words[1], reader.components)
+    elif reader.components is not None and len(words) == 2:
+        reader.components[words[1]] = words[0]
+    else:
+        reader.refuse(line, row, "a component of a record is a type and a name.")
 
 
 def _compile_routine(match: re.Match[str], line: int, reader: _Rapid) -> None:
@@ -428,7 +463,7 @@ def _call(match: re.Match[str], line: int, reader: _Rapid) -> bool:
             continue
         places = [one for one in places if one != parameter]
         given = texts.value(text) if text.strip() else True
-        own[parameter] = record_of(reader.kinds.get(parameter, ""), given)
+        own[parameter] = reader.records.of(reader.kinds.get(parameter, ""), given)
         if parameter in reader.returned[name]:
             back[parameter] = texts.place(text)
 
@@ -464,14 +499,8 @@ def _assign(place: str, value: str, line: int, reader: _Rapid) -> None:
         return
     texts, found = reader.texts, reader.texts.place(place)
     name = str(found.name(texts.variables))
-    is_component = any(isinstance(step, str) for step in found.path)
-    kind = "NUM" if is_component else reader.kinds.get(name, "")
-    given = texts.value(value)
-    if isinstance(given, list) and is_component:
-        old = found.get(texts.variables)
-        names = list(old) if isinstance(old, dict) else []
-        given = dict(zip(names, given, strict=True)) if names else given
-    found.set(texts.variables, record_of(kind, given))
+    kind = reader.records.kind_of(reader.kinds.get(name, ""), found.path)
+    found.set(texts.variables, reader.records.of(kind, texts.value(value)))
 
 
 def _declare(match: re.Match[str], line: int, reader: _Rapid) -> None:
@@ -482,24 +511,24 @@ def _declare(match: re.Match[str], line: int, reader: _Rapid) -> None:
             _store_data(kind.lower(), name.lower(), value, line, reader)
         return
     reader.kinds[name] = kind
-    is_shared = not reader.machine.depth and not reader.is_running
     # Sizes may be constants.
     sizes = [reader.number(one) for one in (match[3] or "").split(",") if one.strip()]
     variables = reader.texts.variables
+    shared = None if reader.is_running else variables.shared
     try:
         if value is None:
-            variables.declare_array(name, sizes, made(kind), is_shared=is_shared)
+            variables.declare_array(name, sizes, reader.records.made(kind), shared)
             return
         if kind == "ROBTARGET" and not sizes and value.startswith("["):
             values = iter(_numbers(value, 17, line, reader))
-            start = _filled(made(kind), values)
+            start = _filled(reader.records.made(kind), values)
         else:
-            start = array_of(kind, sizes, reader.texts.value(value))
+            start = reader.records.array_of(kind, sizes, reader.texts.value(value))
     except ExpressionError:
         if kind in _OF_MOTION:
             raise
         start = None
-    variables.declare(name, start, is_shared=is_shared)
+    variables.declare(name, start, shared)
 
 
 def _filled(record: Value, values: Iterator[float]) -> Value:
@@ -548,7 +577,7 @@ def _pose(text: str, line: int, reader: _Rapid) -> list[float]:
     try:
         name = text.upper()
         value = variables.get(name) if name in variables else reader.texts.value(text)
-        numbers = numbers_of(record_of("ROBTARGET", value))
+        numbers = numbers_of(reader.records.of("ROBTARGET", value))
     except ExpressionError as error:
         reader.refuse(line, text, f"no robtarget in numbers: {error}")
         numbers = []
@@ -613,7 +642,7 @@ def _pace(text: str, line: int, reader: _Rapid) -> float | None:
         feed = _VMAX
     else:
         try:
-            record = record_of("SPEEDDATA", reader.texts.value(name))
+            record = reader.records.of("SPEEDDATA", reader.texts.value(name))
             feed = 1e-3 * numbers_of(record)[0]
         except ExpressionError:
             message = "no speeddata of this name is declared as numbers."

@@ -42,31 +42,61 @@ _RECORDS: dict[str, dict[str, str]] = {
     "JOINTTARGET": {"ROBAX": "ROBJOINT", "EXTAX": "EXTJOINT"},
     "SPEEDDATA": dict.fromkeys(("V_TCP", "V_ORI", "V_LEAX", "V_REAX"), "NUM"),
 }
+_FIRST_VALUES: dict[str, Value] = {"NUM": 0.0, "DNUM": 0.0, "BOOL": False, "STRING": ""}
 # A controller wants a quaternion of length 1.
 LEAST_QUATERNION = 1e-3
 
 
-def record_of(kind: str, value: Value) -> Value:
-    """Record of a list in brackets, or what a variable of a type keeps of a value.
+class Records:
+    """Records by name in upper case: their components, with the type of each."""
 
-    Raises:
-        ExpressionError: If a list has another number of components.
-    """
-    parts = _RECORDS.get(kind)
-    if parts is None or not isinstance(value, list):
-        return float(value) if type(value) is int and kind == "NUM" else value
-    if len(value) != len(parts):
-        message = f"a {kind.lower()} has {len(parts)} components, not {len(value)}."
-        raise ExpressionError("", message)
-    pairs = zip(parts.items(), value, strict=True)
-    return {name: record_of(inner, part) for (name, inner), part in pairs}
+    def __init__(self) -> None:
+        self._parts = dict(_RECORDS)
 
+    def define(self, name: str, parts: dict[str, str]) -> None:
+        """Define a record of a program."""
+        self._parts[name] = parts
 
-def made(kind: str) -> Value:
-    """Value of a variable that has none yet."""
-    if parts := _RECORDS.get(kind):
-        return {name: made(inner) for name, inner in parts.items()}
-    return 0.0 if kind in ("NUM", "DNUM") else None
+    def of(self, kind: str, value: Value) -> Value:
+        """Record of a list in brackets, or what a variable of a type keeps of a value.
+
+        Raises:
+            ExpressionError: If a list has another number of components.
+        """
+        parts = self._parts.get(kind)
+        if parts is None or not isinstance(value, list):
+            return float(value) if type(value) is int and kind == "NUM" else value
+        if len(value) != len(parts):
+            message = f"a {kind.lower()} has {len(parts)} components, not {len(value)}."
+            raise ExpressionError("", message)
+        pairs = zip(parts.items(), value, strict=True)
+        return {name: self.of(inner, part) for (name, inner), part in pairs}
+
+    def array_of(self, kind: str, sizes: list[float], value: Value) -> Value:
+        """Value of a variable, or of an array, of a list in brackets.
+
+        Raises:
+            ExpressionError: If a list has another number of components.
+        """
+        if not sizes:
+            return self.of(kind, value)
+        if not isinstance(value, list) or len(value) != sizes[0]:
+            message = f"needed are {sizes[0]:g} values of {kind.lower()}."
+            raise ExpressionError("", message)
+        return [self.array_of(kind, sizes[1:], part) for part in value]
+
+    def made(self, kind: str) -> Value:
+        """Value of a variable that has none yet."""
+        if parts := self._parts.get(kind):
+            return {name: self.made(inner) for name, inner in parts.items()}
+        return _FIRST_VALUES.get(kind)
+
+    def kind_of(self, kind: str, path: tuple[Expression | str, ...]) -> str:
+        """Type of a part of a variable of a type."""
+        for step in path:
+            if isinstance(step, str):
+                kind = self._parts.get(kind, {}).get(step, "")
+        return kind
 
 
 def numbers_of(value: Value) -> list[float]:
@@ -88,6 +118,8 @@ def _sum(sign: float) -> Callable[[Any, Any], Value]:
     def value(a: Any, b: Any) -> Value:
         if isinstance(a, dict) and isinstance(b, dict):
             return {name: part + sign * b[name] for name, part in a.items()}
+        if isinstance(a, str) and isinstance(b, str) and sign > 0:
+            return a + b
         return a + sign * b
 
     return value
@@ -112,7 +144,7 @@ def _remainder(a: Any, b: Any) -> Value:
 def _moved(name: str, values: list[Any], turns: dict[str, Any]) -> Value:
     """Target that Offs moves along the work object, RelTool along the tool."""
     target, *way = values
-    target = record_of("ROBTARGET", target)
+    target = Records().of("ROBTARGET", target)
     x, y, z, *rot = numbers_of(target)
     R = np.eye(3)
     step = np.array(way, float)
@@ -225,6 +257,9 @@ def texts_of_rapid(
             "EXP": math.exp,
             "TRUNC": lambda x: int(x),
             "ROUND": lambda x: math.floor(x + 0.5),
+            "NUMTOSTR": lambda x, digits: f"{x:.{min(int(digits), 15)}f}",
+            "STRLEN": len,
+            "STRPART": lambda text, at, count: text[int(at) - 1 :][: int(count)],
         },
         constants={"TRUE": True, "FALSE": False, "PI": math.pi},
         brackets=("()", "()", "{}"),
@@ -232,16 +267,3 @@ def texts_of_rapid(
         call=call,
     )
     return Texts(Variables(missing), grammar)
-
-
-def array_of(kind: str, sizes: list[float], value: Value) -> Value:
-    """Value of a variable, or of an array, of a list in brackets.
-
-    Raises:
-        ExpressionError: If a list has another number of components.
-    """
-    if not sizes:
-        return record_of(kind, value)
-    if not isinstance(value, list) or len(value) != sizes[0]:
-        raise ExpressionError("", f"needed are {sizes[0]:g} values of {kind.lower()}.")
-    return [array_of(kind, sizes[1:], part) for part in value]

@@ -14,11 +14,11 @@ from ..faults import SHOWN_FAULTS, Fault, ProgramError
 from ..geometry import MM_PER_INCH, point_of
 from ..limits import FARTHEST, LARGEST_SPEED_RPM
 from ..setup import ProgramSetup
-from ..text import split_lines
+from ..sources import Folder, Sources
 from .arcs import ArcError, Point2, centre_from_offset, centre_from_radius
 from .blocks import ALLOWED_WORDS, CANCELLED, TURNED, Block, sorted_block
 from .cycles import CYCLES, run_cycle
-from .macros import MACRO, MacroReader, is_fanuc
+from .macros import MACRO, Library, MacroReader, is_fanuc
 from .offsets import (
     choose_system,
     compensate_length,
@@ -44,6 +44,7 @@ from .state import (
 )
 from .words import Word, split_words
 
+_NO_FOLDER = Folder()
 # What the compensation of the cutter's radius does not go with, by modal group.
 _NOT_COMPENSATED = ("plane", "system", "tool length", "once")
 _NORMALS = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
@@ -77,6 +78,7 @@ def parse_gcode(
     name: str = "program",
     feed: float | None = None,
     setup: ProgramSetup | None = None,
+    folder: Folder = _NO_FOLDER,
 ) -> Program:
     """Return the moves of G-code text.
 
@@ -86,6 +88,7 @@ def parse_gcode(
         feed: Feed of moves for which the text gives none [m/s]; None makes a missing
             feed an error.
         setup: What else the text does not say.
+        folder: Folder with the files of subprograms that the text calls.
 
     Returns:
         The program in SI units, with its text.
@@ -101,7 +104,8 @@ def parse_gcode(
     state.out.name, faults = name, state.out.faults
     is_wrapped = is_closed = False
     is_first = True
-    rows = split_lines(text, name)
+    sources = Sources()
+    rows = sources.lines(text, name, state.out)
     for number, row in enumerate(rows, 1):
         bare = row.strip(" \t\r")
         is_last = bare == "%" and not any(map(str.strip, rows[number:]))
@@ -109,7 +113,13 @@ def parse_gcode(
             is_closed = is_wrapped or not is_first
             is_wrapped = True
         elif bare and not _run_line(bare, number, state):
-            is_closed = _run_macros(rows, number, state, is_wrapped=is_wrapped)
+            library = Library(folder, sources)
+            try:
+                is_closed = _run_macros(
+                    rows, number, state, library, is_wrapped=is_wrapped
+                )
+            except ProgramError as error:
+                raise sources.located(error) from None
             break
         # Comments may stand before the tape begins.
         is_first = is_first and (not bare or bare[0] in "(;")
@@ -122,11 +132,13 @@ def parse_gcode(
         message = "the file ends without the closing % or M2 or M30; it may be cut off."
         faults.append(Fault(0, "", message))
     if faults:
-        raise ProgramError(name, faults, ALLOWED_WORDS)
+        raise sources.located(ProgramError(name, faults, ALLOWED_WORDS))
     return state.out.finish(text)
 
 
-def _run_macros(rows: list[str], first: int, state: State, *, is_wrapped: bool) -> bool:
+def _run_macros(
+    rows: list[str], first: int, state: State, library: Library, *, is_wrapped: bool
+) -> bool:
     """Carry out lines from one on, which has parameters or calls a subprogram.
 
     Returns:
@@ -148,7 +160,7 @@ def _run_macros(rows: list[str], first: int, state: State, *, is_wrapped: bool) 
     named = {"fanuc": "Fanuc controls do", "linuxcnc": "LinuxCNC does"}[dialect]
     sentence = f"are carried out as {named} ([program] dialect in a job)"
     state.out.note("parameters, loops and calls", sentence, first)
-    MacroReader(state, _run_words, dialect).run(kept, first)
+    MacroReader(state, _run_words, dialect, library).run(kept, first)
     return marks == 1 + is_wrapped
 
 

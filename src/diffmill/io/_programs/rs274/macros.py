@@ -5,6 +5,7 @@ O-words are those of LinuxCNC; IF, WHILE, GOTO, G65, M98 and M99 those of Fanuc.
 
 import functools
 import math
+import pathlib
 import re
 from collections.abc import Callable
 from typing import NamedTuple
@@ -22,6 +23,8 @@ from ..expressions import (
 )
 from ..faults import SHOWN_FAULTS, Fault, ProgramError
 from ..limits import LARGEST_NUMBER
+from ..sources import Folder, Sources
+from ..text import read_text
 from .blocks import ALLOWED_WORDS
 from .parameters import Parameters, variable_of
 from .state import State
@@ -46,6 +49,9 @@ _RETURN = re.compile(r"M0*99(?!\d)")
 _ARGUMENTS = dict(
     zip("ABCIJKDEFHMQRSTUVWXYZ", [*range(1, 10), 11, 13, *range(17, 27)], strict=True)
 )
+_WHOLE_NUMBER = re.compile(r"P(\d+)")
+# Suffixes of files of subprograms; some controls write none.
+_SUFFIXES = (".ngc", ".nc", ".cnc", ".tap", ".gcode", ".txt", ".sub", "")
 # A whole number is as near to what an expression gives.
 _WHOLE = 1e-6
 
@@ -74,11 +80,28 @@ class _Line(NamedTuple):
     assignments: list[_Assignment]
 
 
+class Library(NamedTuple):
+    """Where subprograms are that a program calls: its folder, and its files so far."""
+
+    folder: Folder
+    sources: Sources
+
+    def find(self, label: str) -> pathlib.Path | None:
+        """File of a subprogram: of its name, or as O and its number in four digits."""
+        stem = label.strip("<>")
+        stems = [stem]
+        if stem.isdigit():
+            stems = [f"O{stem:0>4}", f"O{stem}", stem, f"{stem:0>4}"]
+        return self.folder.find(stems, _SUFFIXES)
+
+
 class MacroReader:
     """Reader of the lines of a program with parameters or control flow."""
 
-    def __init__(self, state: State, run: RunBlock, dialect: str):
-        self.state, self.run_block = state, run
+    def __init__(self, state: State, run: RunBlock, dialect: str, library: Library):
+        self.state, self.run_block, self.library = state, run, library
+        # Subprograms that are called by a number or a name which the text has.
+        self.called: dict[str, None] = {}
         self.parameters = Parameters(dialect, state)
         self.code, self.has_words, self.in_program = Code(), False, False
         self.first = 0
@@ -98,9 +121,23 @@ class MacroReader:
         Raises:
             ProgramError: If a block has no end, or a line cannot be carried out.
         """
-        start, out, self.first, self.rows = 0, self.state.out, first, rows
+        out, self.first, self.rows = self.state.out, first, rows
+        start = self._append(rows)
+        self._append_files()
+        self.code.finish()
+        if out.faults or self.code.faults:
+            faults = sorted([*out.faults, *self.code.faults])
+            raise ProgramError(out.name, faults, ALLOWED_WORDS)
+        machine = Machine(self.code, self.parameters.variables, out.name, out.faults)
+        self.parameters.machine = machine
+        machine.at = start
+        machine.run()
+
+    def _append(self, rows: dict[int, str]) -> int:
+        """Append the steps of a file; return that of the line at which to begin."""
+        start, out = 0, self.state.out
         for line, row in rows.items():
-            start = len(self.code.steps) if line == first else start
+            start = len(self.code.steps) if line == self.first else start
             self.code.weigh(line, row)
             try:
                 self._row(row, line)
@@ -110,14 +147,33 @@ class MacroReader:
                 break
         if self.in_program:
             self.code.end_routine(max(rows))
-        self.code.finish()
-        if out.faults or self.code.faults:
-            faults = sorted([*out.faults, *self.code.faults])
-            raise ProgramError(out.name, faults, ALLOWED_WORDS)
-        machine = Machine(self.code, self.parameters.variables, out.name, out.faults)
-        self.parameters.machine = machine
-        machine.at = start
-        machine.run()
+            self.in_program = False
+        return start
+
+    def _append_files(self) -> None:
+        """Append subprograms that are called and stand in files of their own."""
+        known, is_alone = set(self.code.routines), True
+        while missing := self.called.keys() - known:
+            for label in sorted(missing):
+                file = self.library.find(label)
+                if file is None or label in self.code.routines:
+                    continue
+                sources = self.library.sources
+                if is_alone:
+                    # The program ends before its subprograms.
+                    self.code.plain(sources.count, lambda machine: machine.stop())
+                is_alone, begun = False, sources.count
+                rows = sources.lines(read_text(file), file.name, self.state.out)
+                bare = {begun + n: row.strip() for n, row in enumerate(rows, 1)}
+                bare = {n: row for n, row in bare.items() if row not in ("", "%")}
+                self.rows |= bare
+                self.has_words = True
+                first = next((r for r in bare.values() if r[0] not in "(;"), "")
+                if not first.upper().startswith("O"):
+                    self.code.begin_routine(begun + 1, label)
+                    self.in_program = True
+                self._append(bare)
+            known |= missing | self.code.routines.keys()
 
     def _row(self, row: str, line: int) -> None:
         """Append the steps of a line."""
@@ -208,6 +264,8 @@ class MacroReader:
         elif word == "CALL":
             computed = self._expression(label) if label[0] in "#[" else None
             name = constant(label) if computed is None else computed
+            if computed is None:
+                self.called.setdefault(label)
             code.plain(line, functools.partial(self._call, name, values))
         elif word == "IF":
             code.begin_if(line, number, label)
@@ -290,6 +348,10 @@ class MacroReader:
             name = label(machine.value(routine.number))[0]
             machine.call(name, own if is_macro else None)
 
+        if number := _WHOLE_NUMBER.fullmatch(routine.text):
+            self.called |= dict.fromkeys(
+                [str(int(number[1])), label(int(number[1]))[0]]
+            )
         turns = count.number if count else lambda v: label(routine.number(v))[1]
         self.code.begin_repeat(line, turns)
         self.code.plain(line, call)
