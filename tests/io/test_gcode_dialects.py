@@ -385,6 +385,7 @@ def test_holes_are_turned_as_well():
         (".ls", "/PROG  A\n/ATTR\n/MN\n 1:L P[1] 100mm/sec FINE ;\n", "Fanuc robots",
          "APT"),
         (".jbi", "/JOB\n//NAME A\n//POS\nMOVL C0001 V=50.0\nEND\n", "Yaskawa", ".csv"),
+        (".gcode", "G28\nM104 S210\nG1 X1 E.5\n", "a printer", "G-code as"),
         (".nc", "/JOB\n//NAME A\n//POS\nMOVL C0001 V=50.0\nEND\n", "Yaskawa", ".csv"),
     ],
 )  # fmt: skip
@@ -396,3 +397,20 @@ def test_a_language_that_is_not_read_is_named_once(
         read_program(tmp_path / f"part{suffix}")
     (fault,) = caught.value.faults
     assert fault.line and instead in fault.message
+
+
+def test_m_codes_of_one_machine_are_passed_over_by_name():
+    text = "G21 G90 F600\nG0 X0 Y0 Z1\nM88\nM77 P3 S2\nG1 X5 M88\nM2\n"
+    with pytest.raises(ProgramError) as caught:
+        parse_gcode(text)
+    (first, second, third) = caught.value.faults[0], *caught.value.faults[1:3]
+    assert first.line == 3 and '[program] pass_over = ["M88"]' in first.message
+    assert second.line == 4 and third.line in (4, 5)
+    program = parse_gcode(text, setup=ProgramSetup(pass_over=("M88", "M77")))
+    assert [move.end for move in program.moves] == [(0, 0, 1e-3), (5e-3, 0, 1e-3)]
+    (note,) = (note for note in program.notes if "M88" in note)
+    assert note == "lines 3, 5: M88: is passed over, as [program] pass_over says"
+    # S of a line with another code belongs to that.
+    more = text.replace("M77 P3 S2", "M77 M3 S800")
+    program = parse_gcode(more, setup=ProgramSetup(pass_over=("M88", "M77")))
+    assert program.spindle_speeds == pytest.approx((800 * 2 * np.pi / 60,))

@@ -151,7 +151,8 @@ class ProgramTable(TomlTable):
     pass_over: list[StrictStr] = Field(
         default_factory=list,
         description="names of routines of other files that a program of a robot calls "
-        'and that move neither arm nor work, such as ["SPINDLE_ON"]; calls are noted',
+        'and that move neither arm nor work, such as ["SPINDLE_ON"], and M codes of '
+        'G-code, such as ["M88"]; they are noted',
     )
     block_delete: StrictBool = Field(
         default=False, description="true: lines that begin with / are left out"

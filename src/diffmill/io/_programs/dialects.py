@@ -79,6 +79,11 @@ _DIALECTS = (
         re.compile(r";\s*(?:%_N_\w+|\$PATH=)", re.IGNORECASE),
     ),
     _Dialect(
+        "a program of a printer",
+        (),
+        _pattern(r"M1(?:04|09|40|90)\s+S\d", r"G1\b.*\bE-?\d*\.\d+"),
+    ),
+    _Dialect(
         "a program of Fanuc robots",
         (),
         _pattern(r"/(?:PROG|ATTR|MN|POS)\b", r"J\s+P\[\d+", r"L\s+P\[\d+"),

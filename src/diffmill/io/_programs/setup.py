@@ -28,7 +28,7 @@ class ProgramSetup:
             the program has words that LinuxCNC does not know, else LinuxCNC's.
         tool_axis: Axis of the tool that points from the shank to the tip, for programs
             of robots, "z" if None; for a path "z" if its i, j, k do, else "-z".
-        pass_over: Routines of robots' programs that move neither arm nor work.
+        pass_over: Routines of robots' programs and M codes that move nothing.
     """
 
     feed: float | None = None

@@ -188,6 +188,9 @@ def _add_code(
     if group is None or abs(word.number * factor - code) > 1e-3:
         why = _WHY_NOT.get(code) if word.letter == "G" else None
         message = f"{name} is not supported{'' if why is None else f': {why}'}."
+        if word.letter == "M":
+            message = f'{name} is not supported; [program] pass_over = ["{name}"] '
+            message += "leaves it out if it moves nothing."
         faults.append(Fault(block.line, word.text, message, True))
         if word.letter == "G":
             block.is_g_refused = True

@@ -187,7 +187,7 @@ def _run_line(row: str, number: int, state: State) -> bool:
         sentence = "has brackets in it, and ends where all of them are closed"
         state.out.note("a comment", sentence, number)
     faults: list[Fault] = []
-    words = split_words(row, number, faults)
+    words = _known(split_words(row, number, faults), number, state)
     if not words and not faults:
         return True
     block = sorted_block(words, number, faults)
@@ -203,11 +203,27 @@ def _run_line(row: str, number: int, state: State) -> bool:
 def _run_words(words: list[Word], number: int, state: State) -> list[Fault]:
     """Execute the words of a line; return its faults in their order."""
     faults: list[Fault] = []
+    words = _known(words, number, state)
     _execute(sorted_block(words, number, faults), state, faults)
     texts = [word.text for word in words]
     known = [fault for fault in faults if fault.word in texts]
     known.sort(key=lambda fault: texts.index(fault.word))
     return known + [fault for fault in faults if fault.word not in texts]
+
+
+def _known(words: list[Word], number: int, state: State) -> list[Word]:
+    """Words of a line without those that a job passes over, and their own."""
+    names = state.setup.pass_over
+    passed = [word for word in words if f"{word.letter}{word.number:g}" in names]
+    for word in passed:
+        sentence = "is passed over, as [program] pass_over says"
+        state.out.note(word.text, sentence, number)
+    if not passed:
+        return words
+    # P, Q, R, S and E belong to it where no other code could take them.
+    has_code = any(word.letter in "GM" and word not in passed for word in words)
+    own = "" if has_code else "EPQRS"
+    return [word for word in words if word not in passed and word.letter not in own]
 
 
 def _execute(block: Block, state: State, faults: list[Fault]) -> None:
