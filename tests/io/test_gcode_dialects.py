@@ -414,3 +414,22 @@ def test_m_codes_of_one_machine_are_passed_over_by_name():
     more = text.replace("M77 P3 S2", "M77 M3 S800")
     program = parse_gcode(more, setup=ProgramSetup(pass_over=("M88", "M77")))
     assert program.spindle_speeds == pytest.approx((800 * 2 * np.pi / 60,))
+
+
+def test_zeros_in_machine_coordinates_are_seen_from_the_first_system():
+    """G55 lies 20 mm beside G54, whose zero moves by 1 mm later."""
+    text = "G21 G90 F600\nG10 L2 P1 X-100 Y-50 Z-200\nG10 L2 P2 X-80 Y-50 Z-199\n"
+    text += "G54 G0 X0 Y0 Z5\nG1 X3\nG55 X0\nZ5\nG10 L2 P1 X-99\nG54 X0 Z5\n"
+    program = parse_gcode(text)
+    ends = np.array([move.end for move in program.moves]) / MM
+    wanted = [[0, 0, 5], [3, 0, 5], [20, 0, 5], [20, 0, 6], [1, 0, 5]]
+    np.testing.assert_allclose(ends, wanted, atol=1e-9)
+    assert any(note.startswith("lines 2, 3, 8: G10 L2: ") for note in program.notes)
+    # With the zero of the machine, the first system is where it says.
+    setup = ProgramSetup(machine_zero=(0.1, 0.05, 0.2))
+    same = parse_gcode(text, setup=setup)
+    ends = np.array([move.end for move in same.moves]) / MM
+    np.testing.assert_allclose(ends, wanted, atol=1e-9)
+    for wrong in ("G54 G0 X0 Y0 Z5\nG10 L2 P1 X1 Y1 Z1\nG0 X1", "G10 L2 P1 X1\nG0 X1"):
+        with pytest.raises(ProgramError, match="where the machine's zero lies"):
+            parse_gcode(wrong)

@@ -74,7 +74,6 @@ _ROUTINE = re.compile(
     re.IGNORECASE | re.DOTALL,
 )
 _RECORD = re.compile(r"(?:LOCAL\s+)?RECORD\b", re.IGNORECASE)
-_SILENT = frozenset(["MODULE", "ENDMODULE", "VERSION", "LANGUAGE"])
 _ENDS = {"ENDIF": "if", "ENDWHILE": "while", "ENDFOR": "for"}
 # What a statement without a sign assigns.
 _COUNTS = {"INCR": "{}+1", "DECR": "{}-1", "CLEAR": "0", "ADD": "{}+"}

@@ -314,20 +314,6 @@ def _check_compensated(block: Block, state: State, faults: list[Fault]) -> None:
         faults.append(Fault(block.line, block.texts["tool change"], message))
 
 
-def _check_cancelling(block: Block, faults: list[Fault]) -> None:
-    """Report words that make another code of one that ends something."""
-    codes = block.g
-    if "look-ahead" in codes and block.number("Q") != 0:
-        message = "G5.1 is supported as G5.1 Q0, which ends the look-ahead; write a "
-        message += "spline as arcs or lines."
-        faults.append(Fault(block.line, block.texts["look-ahead"], message, True))
-    for group in ("scaling", "mirror image"):
-        # On a lathe G50 sets zeros and limits the spindle.
-        if group in codes and {*"XYZS"} & set(block.values) and "motion" not in codes:
-            message = "it is supported without X, Y, Z and S, as the end of a scaling."
-            faults.append(Fault(block.line, block.texts[group], message, True))
-
-
 def _note_codes(block: Block, codes: dict[str, int], letter: str, state: State) -> None:
     """Note codes that change no motion."""
     for group, code in codes.items():

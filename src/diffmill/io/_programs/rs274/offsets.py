@@ -99,10 +99,41 @@ def set_data(block: Block, state: State, faults: list[Fault]) -> None:
         faults.append(Fault(block.line, text, message))
         return
     name = _SYSTEMS[int(number) - 1] if number else state.system
+    if kind == 2 and state.setup.machine_zero is None:
+        if _set_machine_place(name, block, state):
+            return
     zero = _stated_zero(block, kind, name, state, faults)
     if zero is not None:
         state.zeros[name] = zero
         state.shift = None
+
+
+def _set_machine_place(name: str, block: Block, state: State) -> bool:
+    """Keep the zero of a system in machine coordinates, of which only steps count.
+
+    Where the first system that is used lies, nobody needs to know.
+
+    Returns:
+        False if the step from an older zero is needed, and not known.
+    """
+    places = state.machine_places
+    if len(block.axes()) < 3 and name not in places:
+        return False
+    if name in state.zeros and name not in places:
+        return False
+    old = places.get(name, (0.0, 0.0, 0.0))
+    place = list(old)
+    for axis, letter in enumerate(AXES):
+        value = block.number(letter)
+        place[axis] = old[axis] if value is None else value * state.scale
+    places[name] = point_of(place)
+    if name in state.zeros:
+        steps = zip(state.zeros[name], place, old, strict=True)
+        state.zeros[name] = point_of(zero + at - was for zero, at, was in steps)
+        state.shift = None
+    sentence = "states a zero in machine coordinates, of which steps to others count"
+    state.out.note("G10 L2", sentence, block.line)
+    return True
 
 
 def _set_tool_data(kind: float | None, number: int, block: Block, state: State) -> bool:

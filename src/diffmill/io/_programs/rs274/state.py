@@ -79,6 +79,8 @@ class State:
         feed_mode: 930 inverse time, 940 per minute, 950 per revolution.
         system: Coordinate system, such as "G54".
         zeros: Zeros of the systems in `work` [mm].
+        machine_places: Zeros of systems in machine coordinates that G10 L2 has stated
+            without the zero of the machine [mm].
         references: Points of G28 and G30 that G28.1 and G30.1 have set, in `work` with
             a tool of no length [mm].
         own_offset: Offset of G92 [mm], and the one that G92.3 restores.
@@ -115,6 +117,7 @@ class State:
     selected_tool: int | None = None
     system: str = "G54"
     zeros: dict[str, Point] = field(default_factory=dict)
+    machine_places: dict[str, Point] = field(default_factory=dict)
     references: list[Point | None] = field(default_factory=lambda: [None, None])
     own_offset: Point = (0.0, 0.0, 0.0)
     stored_offset: Point = (0.0, 0.0, 0.0)
@@ -171,7 +174,13 @@ def find_shift(block: Block, state: State, faults: list[Fault]) -> Point:
 
 def find_zero(name: str, block: Block, state: State, faults: list[Fault]) -> Point:
     """Return the zero of a system in `work` [mm]; the first one used is `work`."""
+    places = state.machine_places
     if name not in state.zeros:
+        known = next((one for one in state.zeros if one in places), None)
+        if known is not None and name in places:
+            steps = zip(state.zeros[known], places[name], places[known], strict=True)
+            state.zeros[name] = point_of(zero + at - old for zero, at, old in steps)
+            return state.zeros[name]
         if state.zeros:
             message = (
                 f"where {name} lies is not known; needed is its zero in `work` "
