@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from correction.spring_mass import rounded_square, soft_arm, square_problem
 
-from diffmill import RESULTS
+from diffmill import RESULTS, SimulationFailed
 from diffmill.correction import (
     GaussNewton,
     GivenCommand,
@@ -323,3 +323,26 @@ def test_gauss_newton_runs_nothing_twice(problem):
     assert len(counted.plant.runs) == found.forward_runs + found.linearisations
     again = GivenCommand(found.command)(problem)
     np.testing.assert_allclose(found.motion.actual, again.motion.actual, atol=1e-12)
+
+
+class Chattering(eqx.Module):
+    """A tool that swings by a micrometre, as a chaotic map of all before decides.
+
+    A change of the command grows by some hundred in every row.
+    """
+
+    def __call__(self, command):
+        def step(state, row):
+            state = jnp.sin(1e3 * (state + row))
+            return state, state
+
+        _, states = jax.lax.scan(step, jnp.zeros(3), command)
+        return Motion(command + 1e-6 * states, jnp.zeros_like(command))
+
+
+@pytest.mark.parametrize("rows", [80, 400])
+def test_slopes_that_overflow_are_told_in_one_sentence(rows):
+    path = np.linspace([0.0, 0.0, 0.0], [0.02, 0.01, 0.0], rows)
+    problem = Problem(Chattering(), path, path, np.ones(rows), TIME_STEP)
+    with pytest.raises(SimulationFailed, match=r"chatters.*no slopes there"):
+        GaussNewton(KNOTS)(problem)

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from ..._result import SimulationFailed
 from ..._types import RealScalarLike
 from ...numerics import CachedJit
 from ...optimise import (
@@ -41,6 +42,12 @@ _UNKNOWNS_AT_ONCE = 96
 # Steps that may be taken besides to bring outputs within their bounds, and how little
 # of the cost one of them may gain. What cannot be held gains nothing long before.
 _RETURN_STEPS = 40
+_NO_SLOPES = (
+    "A small change of the command grows beyond all numbers within the run, as in a "
+    "cut that chatters, where the motion is bounded all the same: Gauss-Newton has no "
+    "slopes there. A stable cut has them: less depth, another speed of the spindle "
+    "(`diffmill stability`), or more damping of the joints."
+)
 _RETURN_COST_RTOL = 1e-3
 
 
@@ -248,7 +255,12 @@ class OffsetFit(AbstractProblem):
         return 0.5 * float(members + value.rough @ value.rough)
 
     def model(self, x: Unknowns, value: FitValue) -> QuadraticModel:
-        """Model of half the square of the residual, by Gauss and Newton."""
+        """Model of half the square of the residual, by Gauss and Newton.
+
+        Raises:
+            SimulationFailed: The motion answers a change of the command by one that
+                grows without end, as in a cut that chatters.
+        """
         zero = CostModel(0.0, np.zeros(x.size), np.zeros((x.size, x.size)))
         mean, members, slopes, rough = zero, [], [], np.zeros((0, x.size))
         for plant, weight, error in zip(
@@ -258,7 +270,10 @@ class OffsetFit(AbstractProblem):
             if linear is None:
                 linear = linear_motion(plant, self.command(x))
             member = self._member_model(linear, x)
-            g, H = member.slopes.T @ member.errors, member.slopes.T @ member.slopes
+            with np.errstate(over="ignore", invalid="ignore"):
+                g, H = member.slopes.T @ member.errors, member.slopes.T @ member.slopes
+            if not (np.isfinite(g).all() and np.isfinite(H).all()):
+                raise SimulationFailed(_NO_SLOPES)
             cost = CostModel(0.5 * float(error @ error), g, H)
             # The largest is looked for among all; of a mean the sum does.
             if self.is_worst_case:
