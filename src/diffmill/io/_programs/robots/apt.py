@@ -16,6 +16,7 @@ from ..limits import (
     LARGEST_NUMBER,
     LARGEST_SPEED_RPM,
     fault_of,
+    fault_of_length,
     fault_of_statement,
 )
 from ..text import split_lines
@@ -220,7 +221,8 @@ def _length_unit(
 
 def _carry_out(statement: _Statement, reader: _Apt) -> None:
     """Carry out one statement."""
-    if message := fault_of_statement(statement.row):
+    row = statement.row
+    if message := fault_of_length(row) or fault_of_statement(row):
         reader.reject(statement, message)
         return
     word, line = statement.word, statement.line

@@ -39,7 +39,8 @@ _ASSIGNMENT = re.compile(
     r"([A-Z_]\w*(?:\s*[\[.][^=<>]*)?)\s*=(?!=)\s*(.*)", re.IGNORECASE
 )
 _STRUCTURE = re.compile(
-    r"(?:(?:GLOBAL|DECL)\s+)*STRU[C]\s+(\w+)\s+(\w+\s+\w+(?:\s*,\s*[\w ]+)*)",
+    # No text is a list of components in two ways: a long one is read once.
+    r"(?:(?:GLOBAL|DECL)\s+)*STRU[C]\s+(\w+)\s+(\w+\s+\w+(?: ?, ?\w+(?: \w+)*)*)",
     re.IGNORECASE,
 )
 _AXES = tuple("XYZABC")
