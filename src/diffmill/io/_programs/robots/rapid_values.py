@@ -118,7 +118,7 @@ def _sum(sign: float) -> Callable[[Any, Any], Value]:
     def value(a: Any, b: Any) -> Value:
         if isinstance(a, dict) and isinstance(b, dict):
             return {name: part + sign * b[name] for name, part in a.items()}
-        if isinstance(a, str) and isinstance(b, str) and sign > 0:
+        if sign > 0 and isinstance(a, str):
             return a + b
         return a + sign * b
 

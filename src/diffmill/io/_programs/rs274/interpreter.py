@@ -214,6 +214,8 @@ def _run_words(words: list[Word], number: int, state: State) -> list[Fault]:
 def _known(words: list[Word], number: int, state: State) -> list[Word]:
     """Words of a line without those that a job passes over, and their own."""
     names = state.setup.pass_over
+    if not names:
+        return words
     passed = [word for word in words if f"{word.letter}{word.number:g}" in names]
     for word in passed:
         sentence = "is passed over, as [program] pass_over says"
