@@ -204,3 +204,16 @@ def test_a_record_with_other_components_is_refused(read):
         read(RECORDS % "p.a:=[p.b.at,1];", ".mod")
     with pytest.raises(ProgramError, match=r"line 3: .* is a type and a name"):
         read(RECORDS.replace("robtarget at;", "robtarget;") % "", ".mod")
+
+
+@pytest.mark.parametrize(
+    ("rows", "feed"),
+    [
+        ("slow:=v200;", 0.2),
+        ("slow:=v200;\nslow.v_tcp:=slow.v_tcp/4;", 0.05),
+        ("slow:=vmax;", 5.0),
+    ],
+)
+def test_predefined_speeds_and_zones_are_values(read, rows, feed):
+    rows = f"VAR zonedata near;\nnear:=z50;\n{rows}\n" + to("p").replace("v50", "slow")
+    assert read(rapid(rows), ".mod").moves[-1].feed == pytest.approx(feed)

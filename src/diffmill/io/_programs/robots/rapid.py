@@ -78,6 +78,7 @@ _ENDS = {"ENDIF": "if", "ENDWHILE": "while", "ENDFOR": "for"}
 # What a statement without a sign assigns.
 _COUNTS = {"INCR": "{}+1", "DECR": "{}-1", "CLEAR": "0", "ADD": "{}+"}
 _SPEED = re.compile(r"v(\d+)", re.IGNORECASE)
+_ZONE = re.compile(r"Z\d+|FINE", re.IGNORECASE)
 _OPTION = re.compile(r"\\(V|T)\s*:=\s*([^\\]*)", re.IGNORECASE)
 _OVERRIDE = re.compile(r"VelSet\s+(.*)", re.IGNORECASE | re.DOTALL)
 _WORK_OBJECT = re.compile(r"\\WObj\s*:=\s*(\w+)", re.IGNORECASE)
@@ -108,8 +109,8 @@ _WAIT = re.compile(r"WaitTime\s*(?:\\InPos\s*,\s*)?(.+)", re.IGNORECASE)
 _OF_MOTION = frozenset(
     ["ROBTARGET", "SPEEDDATA", "NUM", "DNUM", "POS", "POSE", "ORIENT"]
 )
-# Speed of the predefined vmax [m/s].
-_VMAX = 5.0
+# Speed of the predefined vmax [mm/s].
+_VMAX = 5000.0
 _PLAIN = ProgramSetup()
 
 
@@ -141,7 +142,15 @@ class _Rapid(Language):
         self.override, self.fastest = 1.0, math.inf
 
     def _missing(self, name: Name) -> Value:
-        raise ExpressionError(str(name), "the program does not state its value.")
+        """Value of a predefined speed or zone."""
+        word = str(name)
+        speed = _SPEED.fullmatch(word)
+        if speed is not None or word == "VMAX":
+            values = [_VMAX if speed is None else float(speed[1]), 500.0, 5e3, 1e3]
+            return self.records.of("SPEEDDATA", values)
+        if _ZONE.fullmatch(word):
+            return word
+        raise ExpressionError(word, "the program does not state its value.")
 
 
 # Place and quaternion of a frame that is its parent.
@@ -637,8 +646,6 @@ def _pace(text: str, line: int, reader: _Rapid) -> float | None:
         feed = 1e-3 * _numbers(name, 4, line, reader)[0]
     elif (match := _SPEED.fullmatch(name)) and name.upper() not in reader.kinds:
         feed = 1e-3 * float(match[1])
-    elif name == "vmax":
-        feed = _VMAX
     else:
         try:
             record = reader.records.of("SPEEDDATA", reader.texts.value(name))
