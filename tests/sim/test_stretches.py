@@ -45,8 +45,8 @@ def test_a_held_engagement_gives_the_run_of_every_tooth(tmp_path, kind):
     largest = float(np.abs(np.asarray(full.deviation)).max())
     np.testing.assert_allclose(held.actual, full.actual, 0, 0.01 * largest + 1e-12)
     for name in ("removed_volume", "shank_volume", "initial_overlap_volume"):
-        volumes = [float(np.sum(getattr(run, name))) for run in (held, full)]
-        np.testing.assert_allclose(*volumes, 2e-3, 1e-15, err_msg=name)
+        found, wanted = (float(np.sum(getattr(run, name))) for run in (held, full))
+        np.testing.assert_allclose(found, wanted, 2e-3, 1e-15, err_msg=name)
     np.testing.assert_allclose(held.stock.volume(), full.stock.volume(), 2e-4)
     if kind != "rigid":
         # Fewer looks than teeth, and an estimate that is no smaller than the error.
