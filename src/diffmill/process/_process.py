@@ -2,7 +2,7 @@
 
 import abc
 import math
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -49,7 +49,10 @@ class AbstractEngagement(eqx.Module):
         is_upright: Whether the tool lies along +z all the time.
         samples_whole_period: True if an update takes the occupancy from the travel of
             the whole period, to its last predicted pose, instead of each sub-step's.
+        removal_waits: True if passes wait for their removal.
     """
+
+    removal_waits: ClassVar[bool] = True
 
     angles: eqx.AbstractVar[int]
     substeps: eqx.AbstractVar[int]
@@ -227,6 +230,14 @@ class Process(eqx.Module):
                 leaves = [np.asarray(x) for x in jax.tree.leaves(law)]
                 differ |= any(x.ndim > 0 and np.ptp(x) > 0 for x in leaves)
         return cutter.flute_count if differ else 1
+
+    @property
+    def removes_together(self) -> bool:
+        """True if passes that follow each other may be removed in one piece.
+
+        Of teeth with run-out they would leave nothing of what the shorter ones spare.
+        """
+        return self.engagement.removal_waits and not self.cutter.has_runout
 
     @property
     def removal(self) -> RemovalHistory:

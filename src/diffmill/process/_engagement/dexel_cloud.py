@@ -18,6 +18,7 @@ tool before is the bottom's to cut and no part of the cloud.
 """
 
 import math
+from typing import ClassVar
 
 import equinox as eqx
 import jax
@@ -103,6 +104,7 @@ class DexelCloud(AbstractEngagement):
     updates_per_period: int = eqx.field(static=True, default=1)
     is_upright: bool = eqx.field(static=True, default=True, init=False)
     samples_whole_period: bool = eqx.field(static=True, default=True, init=False)
+    removal_waits: ClassVar[bool] = False
 
     def __check_init__(self):
         """Refuse several looks: what a cloud tells, it tells once a period."""

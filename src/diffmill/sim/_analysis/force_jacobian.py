@@ -1,6 +1,7 @@
 """Derivatives of the force of the teeth with respect to present and earlier tips."""
 
 import dataclasses
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -15,9 +16,13 @@ from ...process import (
     Engagement,
     Process,
     ProcessState,
+    RemovedVolume,
 )
 from ...workpiece import Pose
 from .monodromy import Regeneration
+
+# Periods whose passes are removed together.
+_TOGETHER = 16
 
 
 def force_slopes(
@@ -73,6 +78,20 @@ class _Replayed(eqx.Module):
     ends: Pose
 
 
+class _Place(NamedTuple):
+    """Place of a replay.
+
+    Attributes:
+        period: The next one, shape ().
+        now: The process before it.
+        waiting: Periods that have entered since passes were removed, shape ().
+    """
+
+    period: Int[Array, ""]
+    now: _Replayed
+    waiting: Int[Array, ""]
+
+
 @CachedJit
 def _begin(process: Process, path: Pose) -> _Replayed:
     """Return the state before the first period, as if the tool had rested."""
@@ -94,14 +113,41 @@ def _replay(
     It begins with the period before the first.
     """
 
-    def period(index: Array, at: _Replayed) -> _Replayed:
-        state = at.state.ended(at.middles, at.ends)
-        near = _near(padded, index)
-        state, _ = process.remove(state, index - 1, near[1])
-        middles, ends = process.poses_within(near)
-        return _Replayed(state, middles[1], ends[1])
+    def take_in(state: ProcessState, index: Array, pose: Pose) -> ProcessState:
+        if process.removes_together:
+            return process.removal.enter(state, index, pose)
+        return process.remove(state, index, pose)[0]
 
-    return jax.lax.fori_loop(first, last + 1, period, before)
+    def period(at: _Place) -> _Place:
+        state = at.now.state.ended(at.now.middles, at.now.ends)
+        near = _near(padded, at.period)
+        state = take_in(state, at.period - 1, near[1])
+        middles, ends = process.poses_within(near)
+        now = _Replayed(state, middles[1], ends[1])
+        return _Place(at.period + 1, now, at.waiting + 1)
+
+    def goes_on(at: _Place) -> Array:
+        has_room = process.removal.has_room(at.now.state)
+        return (at.period <= last) & (at.waiting < _TOGETHER) & has_room
+
+    def block(at: _Place) -> _Place:
+        none = jnp.zeros((), jnp.int32)
+        # One period at least: a queue that is full is emptied behind it.
+        at = jax.lax.while_loop(goes_on, period, period(at._replace(waiting=none)))
+        return at._replace(now=_without_passes(process, at.now))
+
+    begun = _Place(first, before, jnp.zeros((), jnp.int32))
+    return jax.lax.while_loop(lambda at: at.period <= last, block, begun).now
+
+
+def _without_passes(process: Process, now: _Replayed) -> _Replayed:
+    """Process without the passes that lie behind by the lag."""
+    if not process.removes_together:
+        return now
+    dtype = now.state.last_tip.dtype
+    nothing, here = RemovedVolume.nothing(0, dtype), jnp.zeros((), dtype)
+    state, _ = process.removal.remove_behind(now.state, nothing, here)
+    return dataclasses.replace(now, state=state)
 
 
 def _near(padded: Pose, period: Int[Array, ""]) -> Pose:

@@ -331,8 +331,19 @@ def run_in_blocks(
     Returns:
         State, outputs and looks; the volumes are those of all poses of the track.
 
+    Raises:
+        ValueError: Teeth are not alike, passes do not wait for their removal, or a
+            period looks several times.
+
     **Differentiability**: in forward mode.
     """
+    is_even = process.cutter.has_even_pitch and process.removes_together
+    if not is_even or process.engagement.updates_per_period > 1:
+        raise ValueError(
+            "Argument `process` must have a cutter of even pitch and without run-out, "
+            'the chips of "near_far" and one look in a period for its engagement to '
+            "be held."
+        )
     return _Stretches(machine, process, rows, count).run(state)
 
 
