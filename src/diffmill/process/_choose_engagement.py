@@ -89,7 +89,7 @@ def choose_engagement(
         element_height: Height of a disc [m]; if not given 3.5 ray spacings, one for
             a point cloud, less for a steep helix: see `default_element_height`.
         axes: Tool axes that will occur, shape (step, 3); used if not upright.
-        is_upright: Whether the tool lies along +z all the time.
+        is_upright: Whether the tool is upright all the time.
         plunges: Whether the path descends in material, so that the bottom cuts.
         has_bottom: Whether bottom edges cut where the tool descends.
         chip: The chip model, by its name or its settings.

@@ -46,7 +46,7 @@ class AbstractEngagement(eqx.Module):
         discs: Discs of the cutter, or the height of an edge element and the band.
         window: Window of rays of a removal.
         removal_lag: Travelled distance by which removal lags [m].
-        is_upright: Whether the tool lies along +z all the time.
+        is_upright: Whether the tool is upright all the time.
         samples_whole_period: True if an update takes the occupancy from the travel of
             the whole period, to its last predicted pose, instead of each sub-step's.
         removal_waits: True if passes wait for their removal.

@@ -60,7 +60,7 @@ class ObjectiveSettings(Strategy):
 
     Attributes:
         needs_surface: True if the cut must leave walls and floors: a flat cutter that
-            lies along +z.
+            is upright, along +z.
         needs_whole_path: True if a path is corrected as a whole, however long it is.
         counts_contact: True if rows that only pass over the finished surface count,
             too.

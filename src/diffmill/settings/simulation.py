@@ -118,7 +118,7 @@ class SimulationSettings(Settings, table="simulation"):
         is_gravity_compensated: Whether the controller lifts the gravity sag.
         plunges: Whether the path descends in material.
         has_bottom: Whether bottom edges cut where the tool descends.
-        axes: Directions of the tool that occur, rounded; empty if it lies along +z
+        axes: Directions of the tool that occur, rounded; empty if it is upright
             and the bending arm is not to tilt it.
         chip: Chip model: "near_far", "point_cloud" (hard, as in the paper), or its
             settings.

@@ -61,7 +61,7 @@ def job_surface(
 ) -> FinishedSurface | None:
     """Surface as it should be; None where it is not of walls and floors.
 
-    It is for a flat cutter that lies along +z and leaves something of what it cut.
+    It is for a flat cutter that is upright and leaves something of what it cut.
     """
     if not job.cutter.is_plain or job.simulation.axes:
         return None

@@ -42,7 +42,7 @@ class StraightCut:
     def cut(self, *, teeth: int = 64, largest_feed: float | None = None) -> Cut:
         """Straight cut along x that begins within the stock.
 
-        The tool lies along +z and moves along +x. In a slot both flanks of the tool
+        The tool is upright and moves along +x. In a slot both flanks of the tool
         are engaged; in up milling the stock lies where a tooth enters with a thin chip
         (+y), in down milling where it leaves with one (-y).
 

@@ -1,4 +1,4 @@
-"""The bottom edge of a flat cutter that lies along +z and descends.
+"""The bottom edge of a flat cutter that is upright and descends.
 
 Its end is ground hollow: from the corner it rises by the dish angle delta toward the
 center, an annulus at the radius r by (R - r) tan(delta). So the corner goes first. What
@@ -43,7 +43,7 @@ _STILL = 1e-8
 
 
 class BottomEdges(eqx.Module):
-    """Bottom edges of a flat cutter that lies along +z and descends.
+    """Bottom edges of a flat cutter that is upright and descends.
 
     Attributes:
         annuli: Annuli into which the end is cut.

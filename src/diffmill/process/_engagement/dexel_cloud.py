@@ -91,7 +91,7 @@ class _Rows(eqx.Module):
 
 
 class DexelCloud(AbstractEngagement):
-    """The paper's own chip, of a flat cutter with even teeth that lies along +z.
+    """The paper's own chip, of a flat cutter with even teeth that is upright, along +z.
 
     Attributes as of `AbstractEngagement`.
     """

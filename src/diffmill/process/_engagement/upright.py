@@ -1,4 +1,4 @@
-"""A flat cutter that lies along +z: discs, circles, columns and walls.
+"""A flat cutter that is upright, along +z: discs, circles, columns and walls.
 
 The common case, and the fastest: all discs of a tooth share the point on the rim that
 is looked up, and the chip of a disc is that of two circles.
@@ -43,7 +43,7 @@ from .leading_half import (
 
 
 class UprightFlat(AbstractEngagement):
-    """A flat cutter with even teeth that lies along +z.
+    """A flat cutter with even teeth that is upright, along +z.
 
     Attributes as of `AbstractEngagement`, and:
         bottom: The bottom edges, None where they do not cut.

@@ -50,7 +50,7 @@ class RemovalWindow(eqx.Module):
     def upright(
         cls, stock: Stock, cutter: AbstractCutter, axial_depth: float, reach: float
     ) -> "RemovalWindow":
-        """Window of a cutter that lies along +z.
+        """Window of an upright cutter.
 
         Args:
             stock: The workpiece.
