@@ -319,6 +319,7 @@ class RemovalHistory(NamedTuple):
         state: ProcessState,
         removed: RemovedVolume,
         ahead: Float[Array, ""],
+        matters: Bool[Array, " row"] | None = None,
     ) -> tuple[ProcessState, RemovedVolume]:
         """Remove all passes that the tool has left behind by the lag, many at once.
 
@@ -331,6 +332,8 @@ class RemovalHistory(NamedTuple):
             state: The state.
             removed: What was removed before, as of `RemovedVolume.nothing`.
             ahead: How far the tool goes before the stock is looked up [m], shape ().
+            matters: Which poses of the track cut anything that is looked at later: the
+                others remove nothing. All of them if not given.
 
         Returns:
             The state, and what is removed by then.
@@ -347,7 +350,12 @@ class RemovalHistory(NamedTuple):
             is_due |= periods >= _HISTORY
             is_due &= places < state.queue_count - 1
             way = state.queue.travel - state.queue.travel[0]
-            is_due &= way <= self.window.slack
+            is_near = way <= self.window.slack
+            if matters is not None:
+                of_queue = matters[state.queue.row]
+                is_due &= of_queue == of_queue[0]
+                is_near |= ~of_queue[0]
+            is_due &= is_near
             count = jnp.sum(jnp.cumprod(is_due.astype(jnp.int32)), dtype=jnp.int32)
             # Where the shank begins is told by the height of one pass.
             return jnp.minimum(count, 1) if self.window.has_shank else count
@@ -355,14 +363,18 @@ class RemovalHistory(NamedTuple):
         def remove(given):
             state, removed, count, _ = given
             queue, pops = state.queue, count > 0
+            cuts = jnp.maximum(count, 1)
+            if matters is not None:
+                cuts = jnp.where(matters[queue.row[0]], cuts, 0)
             cut, number = self.window.remove_together(
                 state.stock,
                 self.cutter,
                 lambda k: self._tooth_pass(state, queue[k], index),
-                jnp.maximum(count, 1),
+                cuts,
                 slots=state.slots,
             )
-            gone = jnp.where(pops, number, 0)
+            gone = jnp.where(cuts > 0, number, count)
+            gone = jnp.where(pops, gone, 0)
             shift = jnp.arange(QUEUE_LENGTH, dtype=jnp.int32) + gone
             state = eqx.tree_at(
                 lambda s: (

@@ -7,7 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from ..._arrays import on_device
 from ...numerics import CachedJit
@@ -59,15 +59,46 @@ def force_slopes(
     delays = np.arange(1.0, cutter.flute_count + 1)
     if not cutter.has_even_pitch:
         delays = np.asarray(cutter.delays(np.float64)).reshape(-1)
-    for row in np.unique(turns):
+    rows_of_turns = np.unique(turns)
+    matters = on_device(_matters(process, np.asarray(path.tip), rows_of_turns))
+    for row in rows_of_turns:
         last = on_device(np.asarray(row, np.int32))
-        carry = _replay(process, carry, padded, first, last)
+        carry = _replay(process, carry, _Passes(padded, matters), first, last)
         found = _slopes_at(fine, carry.state, padded, last)
         now, before = (np.asarray(x, np.float64) for x in found)
         before = before.reshape(len(now), -1, 3, 3)
         slopes[row] = Regeneration(now, before, delays)
         first = on_device(np.asarray(row + 1, np.int32))
     return [[slopes[row] for row in turn] for turn in turns]
+
+
+def _matters(
+    process: Process, tips: Float[np.ndarray, "step 3"], rows: Int[np.ndarray, " row"]
+) -> Bool[np.ndarray, " step"]:
+    """Flags of the poses that may cut what the teeth meet at one of some rows.
+
+    Two upright tools that are farther apart than their diameter touch nothing in
+    common; walls are seen from a few rays beside it.
+    """
+    if not process.engagement.is_upright:
+        return np.ones(len(tips), bool)
+    reach = 2.2 * float(process.cutter.nominal_radius) + 8 * process.stock.spacing
+    from scipy.spatial import KDTree
+
+    near = KDTree(tips[rows, :2])
+    return near.query(tips[:, :2], distance_upper_bound=reach)[0] < np.inf
+
+
+class _Passes(eqx.Module):
+    """Passes of a path.
+
+    Attributes:
+        padded: The path, with a pose more at either end.
+        matters: Which of its poses cut anything that is looked at, shape (step,).
+    """
+
+    padded: Pose
+    matters: Bool[Array, " step"]
 
 
 class _Replayed(eqx.Module):
@@ -104,7 +135,7 @@ def _begin(process: Process, path: Pose) -> _Replayed:
 def _replay(
     process: Process,
     before: _Replayed,
-    padded: Pose,
+    passes: _Passes,
     first: Int[Array, ""],
     last: Int[Array, ""],
 ) -> _Replayed:
@@ -120,7 +151,7 @@ def _replay(
 
     def period(at: _Place) -> _Place:
         state = at.now.state.ended(at.now.middles, at.now.ends)
-        near = _near(padded, at.period)
+        near = _near(passes.padded, at.period)
         state = take_in(state, at.period - 1, near[1])
         middles, ends = process.poses_within(near)
         now = _Replayed(state, middles[1], ends[1])
@@ -134,19 +165,21 @@ def _replay(
         none = jnp.zeros((), jnp.int32)
         # One period at least: a queue that is full is emptied behind it.
         at = jax.lax.while_loop(goes_on, period, period(at._replace(waiting=none)))
-        return at._replace(now=_without_passes(process, at.now))
+        return at._replace(now=_without_passes(process, at.now, passes.matters))
 
     begun = _Place(first, before, jnp.zeros((), jnp.int32))
     return jax.lax.while_loop(lambda at: at.period <= last, block, begun).now
 
 
-def _without_passes(process: Process, now: _Replayed) -> _Replayed:
+def _without_passes(
+    process: Process, now: _Replayed, matters: Bool[Array, " row"]
+) -> _Replayed:
     """Process without the passes that lie behind by the lag."""
     if not process.removes_together:
         return now
     dtype = now.state.last_tip.dtype
     nothing, here = RemovedVolume.nothing(0, dtype), jnp.zeros((), dtype)
-    state, _ = process.removal.remove_behind(now.state, nothing, here)
+    state, _ = process.removal.remove_behind(now.state, nothing, here, matters)
     return dataclasses.replace(now, state=state)
 
 

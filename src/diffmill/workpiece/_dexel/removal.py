@@ -210,18 +210,18 @@ class RemovalWindow(eqx.Module):
             stock: The workpiece.
             cutter: The cutter.
             pass_of: Returns a pass by its number.
-            count: How many passes there are, at least 1, shape ().
+            count: How many passes there are, shape ().
             slots: Number of slots in use of each family, shape (3,).
 
         Returns:
             The stock with what the passes took and flags of trouble; and the number of
-            passes that are taken, at least 1.
+            passes that are taken, at least 1 if there is one.
 
         **Differentiability**: in the ends of the stock, in forward mode.
         """
         one = pass_of(jnp.zeros((), jnp.int32))
         first = one.center().frozen()
-        last = pass_of(count - 1).center().frozen()
+        last = pass_of(jnp.maximum(count - 1, 0)).center().frozen()
         grid = window_grid(stock, cutter, self, [first, last])
         places = [grid.of_family(f) for f in (0, 1, 2)]
         windows = tuple(
@@ -250,7 +250,7 @@ class RemovalWindow(eqx.Module):
             tuple(CutInterval.none(place.b) for place in places),
             first.tip,
             jnp.zeros((), jnp.int32),
-            jnp.zeros((), bool),
+            count <= 0,
         )
         gathered = jax.lax.while_loop(lambda g: ~g.is_whole, add, begun)
         windows, removed = removal.take(windows, gathered.cuts, one)
