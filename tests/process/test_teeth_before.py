@@ -139,9 +139,9 @@ def test_a_vibrating_tool_is_pushed_as_its_poses_say(pitch):
     def loads(now):
         wrench = jax.vmap(
             lambda samples, pose, earlier: process.engagement.wrench(
-                process, samples, pose, earlier, steps.engagement.decimated
+                process, samples, pose, earlier, period.engagement.decimated
             )
-        )(steps.engagement.samples, middles, process.earlier(recent, now))
+        )(period.engagement.samples, middles, process.earlier(recent, now))
         return np.mean(wrench, axis=1)[:, :3]
 
     wanted = loads(middles)

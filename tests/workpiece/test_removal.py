@@ -131,6 +131,56 @@ def test_no_ray_is_left_inside_any_pose_and_none_is_cut_outside():
         assert (is_air | is_outside).all()
 
 
+def remove_together(step, count=6):
+    """Return a block before and after passes of some step [m] along x, and the rest."""
+    stock = wp.box([0, 0, -2e-3], [12e-3, 10e-3, 0], 0.1e-3)
+    window = wp.RemovalWindow.upright(stock, MILL, 1.3e-3, step * count)
+    tips = jnp.asarray([[4e-3 + step * k, 5.03e-3, -1.07e-3] for k in range(count)])
+
+    def pass_of(k):
+        zero = jnp.zeros((), tips.dtype)
+        along_x = jnp.asarray([1.0, 0.0])
+        return wp.ToothPass(wp.Pose(tips[k][None]), k, along_x, zero, zero, 1)
+
+    together = lambda stock: window.remove_together(
+        stock, MILL, pass_of, jnp.asarray(count, jnp.int32), slots=stock.slots_in_use()
+    )
+    cut, taken = jax.jit(together)(stock)
+    one_by_one = stock
+    for k in range(int(taken)):
+        due = jnp.ones(1, bool)
+        k = jnp.asarray(k, jnp.int32)
+        one_by_one = window.remove_passes(one_by_one, MILL, [pass_of(k)], due).stock
+    return stock, cut, int(taken), one_by_one
+
+
+def test_passes_that_overlap_go_together_but_for_scallops():
+    step = 0.1e-3
+    before, cut, taken, one_by_one = remove_together(step)
+    assert taken == 6 and not (cut.has_overflow | cut.has_left_window)
+    removed = before.volume() - cut.stock.volume()
+    np.testing.assert_allclose(jnp.sum(cut.volume), removed, rtol=1e-9)
+    # Between two circles a scallop of f^2 / (8 R) stays, along both sides of the slot.
+    scallops = 2 * 5 * step * 1.07e-3 * step**2 / (8 * 2e-3)
+    more = one_by_one.volume() - cut.stock.volume()
+    assert -1e-9 * removed <= more <= scallops + 1e-6 * removed
+    for family in range(3):
+        here, there = cut.stock.ray_ends(family), one_by_one.ray_ends(family)
+        # No scallop is as high as the rays are apart.
+        assert len(here.points) <= len(there.points)
+        if len(here.points) == len(there.points):
+            np.testing.assert_allclose(here.points, there.points, atol=1e-12)
+
+
+def test_passes_that_leave_something_between_them_go_one_by_one():
+    before, cut, taken, one_by_one = remove_together(4.5e-3, count=2)
+    assert taken == 1
+    removed = before.volume() - cut.stock.volume()
+    np.testing.assert_allclose(
+        before.volume() - one_by_one.volume(), removed, rtol=1e-12
+    )
+
+
 def test_the_shank_takes_no_more_than_what_passes_before_have_left():
     mill = ct.flat_end_mill(4e-3, 2, flute_length=1e-3)
     stock = wp.box([0, 0, -2e-3], [8e-3, 8e-3, 0], 0.1e-3)

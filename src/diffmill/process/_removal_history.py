@@ -324,7 +324,7 @@ class RemovalHistory(NamedTuple):
         """Remove all passes that the tool has left behind by the lag, many at once.
 
         Passes that are near to each other take one interval of each ray together. A
-        scallop between two of them, of f^2 / (8 R) at most, goes with them.
+        scallop between two of them, of f^2 / (8 R), goes with them where it is low.
 
         # symbols: f way of the tool in a tooth period, R radius
 

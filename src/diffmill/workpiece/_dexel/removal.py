@@ -26,6 +26,8 @@ from .tooth_pass import ToothPass, cut_interval, standing
 
 # A tool lies flat where the sine of its lean out of the horizontal is less [-].
 _FLAT_SINE = 1e-6
+# Scallop f^2 / (8 R) that may go with the passes beside it [m].
+_SCALLOP = 1.5e-6
 # Slots that a removal searches, if more are not in use.
 _SLOT_COUNTS = (3, 8)
 
@@ -204,7 +206,7 @@ class RemovalWindow(eqx.Module):
 
         From each ray it takes the interval from the lowest to the highest place that
         any of them reaches; up to the first pass that leaves more between itself and
-        those before than the tool has gone.
+        those before than a scallop of 1.5 um, which goes with them.
 
         Args:
             stock: The workpiece.
@@ -238,9 +240,11 @@ class RemovalWindow(eqx.Module):
                 for f in (0, 1, 2)
             ]
             tip = tooth.center().tip
-            way = jnp.sqrt(jnp.sum((tip - gathered.tip) ** 2))
+            square = jnp.sum((tip - gathered.tip) ** 2)
+            is_low = square <= 8 * cutter.nominal_radius * _SCALLOP
+            gap = jnp.where(is_low, jnp.sqrt(square), 0)
             pairs = list(zip(gathered.cuts, cuts, strict=True))
-            apart = [old.is_apart(new, way) for old, new in pairs]
+            apart = [old.is_apart(new, gap) for old, new in pairs]
             is_apart = jnp.any(jnp.stack(apart))
             joined = tuple(old.joined(new, ~is_apart) for old, new in pairs)
             number = gathered.count + (~is_apart).astype(jnp.int32)
