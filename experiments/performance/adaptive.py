@@ -23,7 +23,7 @@ jax.config.update("jax_enable_x64", True)
 # Tooth periods of the zig-zag, and its ray spacings.
 ROWS, SPACINGS = 8000, ("0.5 mm", "0.2 mm")
 # Depths of a slot: one in which the cut is calm, one in which it chatters.
-SLOTS = {"calm slot": -1.0, "slot that chatters": -4.0}
+SLOTS = {"calm slot": -0.4, "slot that chatters": -1.0}
 # To reach: ratio of the processor times; deviation at 99 % of the rows, amplitude and
 # removed volume [%].
 RATIO, DEVIATION, AMPLITUDE, VOLUME = 2.0, 1.0, 10.0, 0.1
@@ -81,29 +81,33 @@ def compare(report, title, job):
     )
     volume = float(np.sum(held.removed_volume)) / float(np.sum(full.removed_volume))
     report.at_least("times faster", seconds / shorter, RATIO, "x")
-    own = finer(job, full, is_cut) / size
-    allowed = DEVIATION if 100 * own < AGREES else max(DEVIATION, 150 * own)
-    report.say(f"  the full run less one of twice its sub-steps: {100 * own:.2f} %")
+    twice = finer(job)
+    own = np.linalg.norm(np.asarray(twice.actual - full.actual)[is_cut], axis=1)
+    own = 100 * np.percentile(own, 99) / size
+    allowed = DEVIATION if own < AGREES else max(DEVIATION, 1.5 * own)
+    report.say(f"  the full run less one of twice its sub-steps: {own:.2f} %")
     last = 100 * np.percentile(off, 99) / size
     report.figure("deviation at 99 % of the rows", last, allowed, "%")
-    rest = slice(off.size // 2, None)
-    swing = [
-        np.std(np.asarray(x.deviation)[is_cut][rest], axis=0) for x in (full, held)
-    ]
-    change = np.linalg.norm(swing[1]) / np.linalg.norm(swing[0]) - 1
-    report.figure("amplitude in the second half", 100 * abs(change), AMPLITUDE, "%")
+    swings = [swing(run, is_cut) for run in (full, held, twice)]
+    change, other = (100 * abs(x / swings[0] - 1) for x in swings[1:])
+    allowed = max(AMPLITUDE, 1.5 * other)
+    report.figure("amplitude in the second half", change, allowed, "%")
     report.figure("removed volume", 100 * abs(volume - 1), VOLUME, "%")
 
 
-def finer(job, full, is_cut):
-    """Difference of a run from one of twice its sub-steps, at 99 % of rows [m]."""
+def finer(job):
+    """Solution of a job with twice its sub-steps."""
     substeps = 2 * job.simulation.substeps
     block = substeps * job.cutter.flute_count
     angles = -(-job.simulation.angles // block) * block
     simulation = dataclasses.replace(job.simulation, substeps=substeps, angles=angles)
-    twice = dm.simulate(dataclasses.replace(job, simulation=simulation))
-    off = np.asarray(twice.actual - full.actual)[is_cut]
-    return np.percentile(np.linalg.norm(off, axis=1), 99)
+    return dm.simulate(dataclasses.replace(job, simulation=simulation))
+
+
+def swing(run, is_cut):
+    """Standard deviation of the deviation in the second half of a cut [m]."""
+    deviation = np.asarray(run.deviation)[is_cut]
+    return np.linalg.norm(np.std(deviation[len(deviation) // 2 :], axis=0))
 
 
 def timed(job):

@@ -212,8 +212,8 @@ class SimulationSettings(Settings, table="simulation"):
     updates_per_period: int = 1
     resolution: Literal["every tooth", "adaptive"] = key(
         "adaptive: simulate looks up the stock once for several tooth periods where "
-        "the cut is steady, two to three times as fast; of cutters with even pitch and "
-        "without run-out",
+        "the cut is steady, which is faster; for cutters with even pitch and without "
+        "run-out",
         default="every tooth",
     )
     scatter: ScatterSettings | None = key(
