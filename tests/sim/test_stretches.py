@@ -41,9 +41,11 @@ def test_a_held_engagement_gives_the_run_of_every_tooth(tmp_path, kind):
     held = dm.simulate(adaptive(job), throw=False)
     is_cut = np.asarray(full.is_cutting)
     off = np.asarray(held.force - full.force)[is_cut]
-    assert rms(off) < 0.01 * rms(np.asarray(full.force)[is_cut])
+    # A ball that the arm tilts meets other rays in each period.
+    share = 0.02 if kind == "tilted" else 0.01
+    assert rms(off) < share * rms(np.asarray(full.force)[is_cut])
     largest = float(np.abs(np.asarray(full.deviation)).max())
-    np.testing.assert_allclose(held.actual, full.actual, 0, 0.01 * largest + 1e-12)
+    np.testing.assert_allclose(held.actual, full.actual, 0, share * largest + 1e-12)
     for name in ("removed_volume", "shank_volume", "initial_overlap_volume"):
         found, wanted = (float(np.sum(getattr(run, name))) for run in (held, full))
         np.testing.assert_allclose(found, wanted, 2e-3, 1e-15, err_msg=name)

@@ -213,7 +213,7 @@ class SimulationSettings(Settings, table="simulation"):
     resolution: Literal["every tooth", "adaptive"] = key(
         "adaptive: simulate looks up the stock once for several tooth periods where "
         "the cut is steady, which is faster; for cutters with even pitch and without "
-        "run-out",
+        "run-out, and not for the amplitude of chatter",
         default="every tooth",
     )
     scatter: ScatterSettings | None = key(
