@@ -47,8 +47,8 @@ def fake_simulate(job, *, on_progress, **options):
     solution = types.SimpleNamespace(
         actual=job.path.positions,
         is_cutting=np.ones(count, bool),
-        is_look=None,
-        held_force_error=None,
+        is_engagement_update=None,
+        engagement_force_error=None,
         shank_volume=np.where(np.arange(count) == 40, 2e-9, 0.0),
         stock=job.stock,
     )

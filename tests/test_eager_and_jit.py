@@ -914,7 +914,6 @@ LEFT_OUT = {
         "cutting.material*",
         "robot.built_in_models",
         "robot.drive_classes",
-        "robot.DriveClass.*",
         "robot.load",
         "robot.spindle_note",
         "use_compile_cache",

@@ -1,4 +1,4 @@
-"""Steady stretches: what `[simulation] resolution = "adaptive"` saves and costs.
+"""Adaptive engagement updates: what they save and cost in `simulate`.
 
 python experiments/performance/run.py adaptive
 
@@ -68,12 +68,13 @@ def compare(report, title, job):
     size = np.sqrt(np.mean(np.sum(deviation**2, axis=1)))
     force = np.linalg.norm(np.asarray(full.force)[is_cut], axis=1)
     error = np.linalg.norm(np.asarray(held.force - full.force)[is_cut], axis=1)
-    assert held.is_look is not None
-    expected = np.sqrt(np.mean(np.asarray(held.held_force_error)[is_cut] ** 2))
+    assert held.is_engagement_update is not None
+    expected = np.sqrt(np.mean(np.asarray(held.engagement_force_error)[is_cut] ** 2))
     surface = np.asarray(held.surface_deviation - full.surface_deviation)[is_cut]
     report.say(
-        f"{title}: {is_cut.size} rows, the stock looked up in "
-        f"{100 * np.mean(held.is_look):.0f} %; deviation {1e6 * size:.1f} um rms, off "
+        f"{title}: {is_cut.size} rows, engagement updates in "
+        f"{100 * np.mean(held.is_engagement_update):.0f} %; deviation "
+        f"{1e6 * size:.1f} um rms, off "
         f"by {100 * np.sqrt(np.mean(off**2)) / size:.2f} % rms; force "
         f"{np.percentile(force, 95):.0f} N, off by {np.sqrt(np.mean(error**2)):.2f} N "
         f"rms ({expected:.2f} N expected); surface off by "

@@ -128,17 +128,18 @@ def _with_written(
 
 
 def _with_resolution(run: FinishedRun, progress: Progress) -> Dataset:
-    """Dataset with what a held engagement costs, which is printed."""
-    is_look, error = run.final.is_look, run.final.held_force_error
+    """Dataset with the error by reuse of the engagement, which is printed."""
+    is_update = run.final.is_engagement_update
+    error = run.final.engagement_force_error
     is_cut = np.asarray(run.final.is_cutting)
-    if is_look is None or error is None or not is_cut.any():
+    if is_update is None or error is None or not is_cut.any():
         return run.dataset
     force = np.linalg.norm(np.asarray(run.final.force)[is_cut], axis=1)
     rms = lambda x: float(np.sqrt(np.mean(np.square(x))))
     off = rms(np.asarray(error)[is_cut])
     line = (
-        'resolution: "adaptive": the stock was looked up in '
-        f"{100 * np.mean(np.asarray(is_look)):.0f} % of the tooth periods; forces in "
+        'resolution: "adaptive": engagement updates in '
+        f"{100 * np.mean(np.asarray(is_update)):.0f} % of the tooth periods; forces in "
         f"between are off by about {off:.2g} N rms where the tool cuts, "
         f"{100 * off / rms(force):.1f} % of them"
     )

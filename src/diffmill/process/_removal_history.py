@@ -15,7 +15,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.typing import DTypeLike
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from .._arrays import is_traced
 from ..cutter import AbstractCutter
@@ -286,29 +286,8 @@ class RemovalHistory(NamedTuple):
             slots=state.slots,
         )
         count = jnp.sum(is_due, dtype=jnp.int32)
-        shift = jnp.minimum(
-            jnp.arange(QUEUE_LENGTH, dtype=jnp.int32) + count, QUEUE_LENGTH - 1
-        )
-        state = eqx.tree_at(
-            lambda s: (
-                s.stock,
-                s.queue,
-                s.queue_count,
-                s.slots,
-                s.has_overflow,
-                s.has_left_window,
-            ),
-            state,
-            (
-                cut.stock,
-                state.queue[shift],
-                state.queue_count - count,
-                cut.slots,
-                state.has_overflow | cut.has_overflow,
-                state.has_left_window | cut.has_left_window,
-            ),
-        )
-        return state, RemovedVolume(oldest.row, cut.volume, cut.by_shank)
+        removed = RemovedVolume(oldest.row, cut.volume, cut.by_shank)
+        return _with_cut(state, cut, count), removed
 
     def has_room(self, state: ProcessState) -> Bool[Array, ""]:
         """True if the poses of another period can wait."""
@@ -331,8 +310,8 @@ class RemovalHistory(NamedTuple):
         Args:
             state: The state.
             removed: What was removed before, as of `RemovedVolume.nothing`.
-            ahead: How far the tool goes before the stock is looked up [m], shape ().
-            matters: Which poses of the track cut anything that is looked at later: the
+            ahead: Way of the tool until the stock is read [m], shape ().
+            matters: Which poses of the track cut anything that is read later: the
                 others remove nothing. All of them if not given.
 
         Returns:
@@ -362,7 +341,8 @@ class RemovalHistory(NamedTuple):
 
         def remove(given):
             state, removed, count, _ = given
-            queue, pops = state.queue, count > 0
+            queue = state.queue
+            # One that stands is no pass that is over.
             cuts = jnp.maximum(count, 1)
             if matters is not None:
                 cuts = jnp.where(matters[queue.row[0]], cuts, 0)
@@ -373,28 +353,8 @@ class RemovalHistory(NamedTuple):
                 cuts,
                 slots=state.slots,
             )
-            gone = jnp.where(cuts > 0, number, count)
-            gone = jnp.where(pops, gone, 0)
-            shift = jnp.arange(QUEUE_LENGTH, dtype=jnp.int32) + gone
-            state = eqx.tree_at(
-                lambda s: (
-                    s.stock,
-                    s.queue,
-                    s.queue_count,
-                    s.slots,
-                    s.has_overflow,
-                    s.has_left_window,
-                ),
-                state,
-                (
-                    cut.stock,
-                    queue[jnp.minimum(shift, QUEUE_LENGTH - 1)],
-                    state.queue_count - gone,
-                    cut.slots,
-                    state.has_overflow | cut.has_overflow,
-                    state.has_left_window | cut.has_left_window,
-                ),
-            )
+            gone = jnp.where((cuts > 0) & (count > 0), number, count)
+            state = _with_cut(state, cut, gone)
             taken = RemovedVolume(queue.row[:1], cut.volume, cut.by_shank)
             removed = removed.with_passes(queue.row, gone, taken)
             count = due(state)
@@ -580,6 +540,36 @@ class RemovalHistory(NamedTuple):
         turns = 0.5 + self._helix_turns()
         # One for the period itself, and a half that the tooth may look forward later.
         return math.ceil(turns * self.cutter.flute_count + 1.5)
+
+
+def _with_cut(state: ProcessState, cut: PyTree, count: Int[Array, ""]) -> ProcessState:
+    """State with a stock that was cut, and without the oldest passes of its queue.
+
+    Args:
+        state: The state.
+        cut: Result of a removal by `RemovalWindow`.
+        count: How many passes leave the queue, shape ().
+    """
+    shift = jnp.arange(QUEUE_LENGTH, dtype=jnp.int32) + count
+    return eqx.tree_at(
+        lambda s: (
+            s.stock,
+            s.queue,
+            s.queue_count,
+            s.slots,
+            s.has_overflow,
+            s.has_left_window,
+        ),
+        state,
+        (
+            cut.stock,
+            state.queue[jnp.minimum(shift, QUEUE_LENGTH - 1)],
+            state.queue_count - count,
+            cut.slots,
+            state.has_overflow | cut.has_overflow,
+            state.has_left_window | cut.has_left_window,
+        ),
+    )
 
 
 def tracked(state: ProcessState, index: Int[Array, ""], pose: Pose) -> PoseTrack:

@@ -50,10 +50,7 @@ from ._elasticity.tip_modes import TipModes as TipModes
 from ._elasticity.workspace import (
     StiffnessMap as StiffnessMap,
 )
-from ._files.drive_classes import (
-    DriveClass as DriveClass,
-    drive_classes as drive_classes,
-)
+from ._files.drive_classes import drive_classes as drive_classes
 from ._files.errors import (
     RobotFileError as RobotFileError,
     RobotFileWarning as RobotFileWarning,

@@ -132,9 +132,9 @@ class SimulationSettings(Settings, table="simulation"):
             the cut is deepest, and it says nothing of a stable one; "full", along the
             path; or "none".
         updates_per_period: Engagement updates of a tooth period.
-        resolution: "every tooth": the stock is looked up in each tooth period;
-            "adaptive": in `simulate`, where the cut is steady one look stands for
-            several periods.
+        resolution: "every tooth": each tooth period has its engagement update;
+            "adaptive": in `simulate`, several periods share one where the cut is
+            steady.
         scatter: How far the machine may be from the model; the command line adds the
             error to be expected then. None if it is not known.
         tilts: Whether a job file asks that the bending arm tilts the tool, for `axes`.
@@ -211,7 +211,7 @@ class SimulationSettings(Settings, table="simulation"):
     )
     updates_per_period: int = 1
     resolution: Literal["every tooth", "adaptive"] = key(
-        "adaptive: simulate looks up the stock once for several tooth periods where "
+        "adaptive: in simulate several tooth periods share an engagement update where "
         "the cut is steady, which is faster; for cutters with even pitch and without "
         "run-out, and not for the amplitude of chatter",
         default="every tooth",

@@ -56,7 +56,7 @@ from ._figure.surface import plot_surface_error as plot_surface_error
 from ._report.case_parts import case_parts as case_parts
 from ._report.inputs import figure_inputs as figure_inputs
 from ._report.report import write_report as write_report
-from ._report.show import NotebookView as NotebookView, show as show
+from ._report.show import show as show
 from ._report.study import (
     StudyReport as StudyReport,
     StudyTable as StudyTable,

@@ -162,7 +162,7 @@ def _page(
 
 
 def _verdict(report: Report) -> "Verdict":
-    """Whether the values are to be used."""
+    """Verdict on the use of the values."""
     from ...viz import Verdict
 
     known = sum(one.is_known for one in report.estimates)

@@ -112,7 +112,7 @@ def completed_simulation(
     if table.resolution == "adaptive" and updates > 1:
         problems.append(
             f'[simulation] resolution: found "adaptive" with a tooth period of '
-            f"{period * 1e3:g} ms, in which the stock is looked up {updates} times; "
+            f"{period * 1e3:g} ms with {updates} engagement updates; "
             'only "every tooth" is allowed'
         )
     return dataclasses.replace(
@@ -235,7 +235,7 @@ def _check_simulation(
         why = f'chip = "{chip.name}"' if not differs else "teeth that are not alike"
         problems.append(
             f'[simulation] resolution: found "adaptive" with {why}, but an engagement '
-            'is held only for even pitch, without run-out and with chip = "near_far"; '
+            'is reused only with even pitch, no run-out and chip = "near_far"; '
             'only "every tooth" is allowed'
         )
     if table.has_sensitivity and is_rigid:

@@ -13,7 +13,7 @@ from ..._types import FloatRows, FloatRows3
 from ...numerics import CachedJit
 from ...robot import Controller
 from ...workpiece import Pose, Stock
-from .._machine.machine import AbstractMachine, Looks, Run, RunSegment
+from .._machine.machine import AbstractMachine, EngagementUpdates, Run, RunSegment
 from .._machine.rigid import PathPiece, Rigid
 from .path_segments import PathSegment
 from .segments import PathRows, SegmentedRun, SegmentPlan, run_in_segments
@@ -91,19 +91,19 @@ class LongRun(NamedTuple):
                 *_no_force(tips),
                 np.zeros_like(motors) if is_arm else None,
             )
-            told, looks = np.array(motors), None
+            told, updates = np.array(motors), None
             if self.plan.is_adaptive:
-                looks = Looks.none(len(tips), tips.dtype)
+                updates = EngagementUpdates.none(len(tips), tips.dtype)
 
             def of_segment(command: PyTree, ran: RunSegment) -> PyTree:
                 force = ran.force, ran.force_range
                 out = ran.actual, ran.ends, *force, ran.joint_positions
-                return out, command, ran.looks
+                return out, command, ran.engagement_updates
 
             command = _commands(problem, np.asarray(motors))
-            path_rows = PathRows(command, (rows, told, looks), of_segment)
+            path_rows = PathRows(command, (rows, told, updates), of_segment)
             run = self._whole(self._run(problem.machine, len(tips), path_rows), rows)
-            run = dataclasses.replace(run, looks=looks)
+            run = dataclasses.replace(run, engagement_updates=updates)
             told = told if is_arm else None
         path = problem.path
         walls = WallRows(path.positions, problem.axes, path.disturbance, run.ends)

@@ -21,6 +21,7 @@ from ...numerics import CachedJit
 from ...process import Process
 from ...toolpath import Path
 from ...workpiece import Rays
+from .._machine.adaptive_updates import run_adaptive
 from .._machine.machine import (
     AbstractMachine,
     Removal,
@@ -30,7 +31,6 @@ from .._machine.machine import (
     TurnChips,
     outcome,
 )
-from .._machine.stretches import run_in_blocks
 from .checkpoint import RunCheckpoint, RunPlace, SegmentOutputs
 from .path_segments import PathSegment, Segments
 
@@ -79,8 +79,8 @@ class SegmentPlan(NamedTuple):
         more_slots: Returns the slots with which a segment is run again in which a ray
             ran out of them.
         checkpoint: Where finished segments are kept.
-        is_adaptive: Whether one look at the stock stands for several tooth periods
-            where the cut is steady: a short path is then a segment, too.
+        is_adaptive: Whether several tooth periods share an engagement update where
+            the cut is steady: a short path is then a segment, too.
     """
 
     periods: int = LONGEST
@@ -92,7 +92,7 @@ class SegmentPlan(NamedTuple):
     def suits(self, path: Path, given: object) -> bool:
         """True if a path is run in segments: a long one, of which nothing is traced.
 
-        One of which something is traced is run whole, and looks at every tooth.
+        One of which something is traced is run whole, with an update in each period.
 
         Args:
             path: The path.
@@ -277,8 +277,8 @@ def _segment(
     row_count: Int[Array, ""],
     is_adaptive: bool,
 ) -> RunSegment:
-    in_blocks = run_in_blocks if is_adaptive else None
-    return machine.run_segment(process, command, state, row_count, in_blocks=in_blocks)
+    adaptive = run_adaptive if is_adaptive else None
+    return machine.run_segment(process, command, state, row_count, adaptive=adaptive)
 
 
 @CachedJit

@@ -87,10 +87,10 @@ class Solution(eqx.Module):
         is_reached: Whether the robot reaches what is commanded, shape (step,); True for
             a rigid machine.
         stock: The stock after the last pose.
-        is_look: Whether the stock was looked up in the period before, shape (step,);
-            None if it was in each.
-        held_force_error: Estimate of the force that it costs not to look in each [N],
-            shape (step,); None if each period looks.
+        is_engagement_update: Whether the period before had an engagement update, shape
+            (step,); None if each has one.
+        engagement_force_error: Estimated error of the force by reuse of the engagement
+            [N], shape (step,); None if each period has its update.
         rigid: The process alone on the desired path; its stock is as it should be, that
             of a cutter without run-out.
         result: Outcome of the run.
@@ -120,8 +120,8 @@ class Solution(eqx.Module):
     result: RESULTS
     joint_names: tuple[str, ...] = eqx.field(static=True)
     joint_units: tuple[str, ...] = eqx.field(static=True, default=())
-    is_look: Bool[Array, " step"] | None = None
-    held_force_error: Float[Array, " step"] | None = None
+    is_engagement_update: Bool[Array, " step"] | None = None
+    engagement_force_error: Float[Array, " step"] | None = None
 
     @staticmethod
     def of_command(
@@ -183,7 +183,7 @@ class Solution(eqx.Module):
         # On the host, since a device compiles these for every length.
         xp = jnp if is_traced((ran, rigid, is_reached)) else np
         is_cutting = xp.any(xp.asarray(rigid.force) != 0, axis=1)
-        looks = ran.looks
+        updates = ran.engagement_updates
         has_failed = xp.asarray(ran.has_failed) | xp.asarray(rigid.has_failed)
         are_reached = on_device(xp.asarray(xp.all(xp.asarray(is_reached))))
         result = _outcome(ran.result, rigid.result, are_reached)
@@ -210,9 +210,11 @@ class Solution(eqx.Module):
             result=result,
             joint_names=() if job.robot is None else job.robot.joint_names,
             joint_units=() if job.robot is None else job.robot.joint_units,
-            is_look=None if looks is None else on_device(looks.is_look),
-            held_force_error=(
-                None if looks is None else on_device(looks.force_error())
+            is_engagement_update=(
+                None if updates is None else on_device(updates.is_update)
+            ),
+            engagement_force_error=(
+                None if updates is None else on_device(updates.force_error())
             ),
         )
 

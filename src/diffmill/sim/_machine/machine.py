@@ -85,7 +85,7 @@ def engage_if_valid(
 
 
 class StockAccess(NamedTuple):
-    """How a tooth period meets the stock: first it removes, then it looks.
+    """Access of a tooth period to the stock: removal, then the engagement.
 
     Attributes:
         engage: Returns the engagement of the period.
@@ -329,7 +329,7 @@ class AbstractMachine(eqx.Module):
         state: RunState,
         row_count: IntScalar | None = None,
         *,
-        in_blocks: Callable[..., PyTree] | None = None,
+        adaptive: Callable[..., PyTree] | None = None,
     ) -> "RunSegment":
         """Run some periods from where an earlier run ended.
 
@@ -340,9 +340,9 @@ class AbstractMachine(eqx.Module):
             state: State at row 0, of `begin_run` or of the segment before.
             row_count: How many rows count, of a segment that may end the run; its
                 periods are then whole parts, see `whole_parts`. All if not given.
-            in_blocks: Runs the periods with one look at the stock for several of them
-                where the cut is steady, called as `run_in_blocks` of `stretches.py`;
-                then without derivative in reverse mode. Each period looks if not given.
+            adaptive: Runs the periods with one engagement update for several of them
+                where the cut is steady, as `run_adaptive`; then without derivative in
+                reverse mode. Each period has its update if not given.
 
         Returns:
             The rows, and the state at the last of them; nothing of the queue is
@@ -373,12 +373,12 @@ class AbstractMachine(eqx.Module):
         index = first + jnp.arange(count, dtype=jnp.int32)
         standing_rows = process.removal.standing_rows
         ran = count_run(live_rows(index, end), count, standing_rows)
-        if in_blocks is None:
+        if adaptive is None:
             ended, periods = _run_periods(self, process, started, first, rows, end)
-            looks = None
+            updates = None
         else:
             every = PeriodRow(index, rows, live_rows(index, end))
-            ended, periods, looks = in_blocks(self, process, started, every, ran)
+            ended, periods, updates = adaptive(self, process, started, every, ran)
         final = self.pose(process, ended.machine)
         last = last_row(count + 1, row_count)
         joints = self.joint_positions(ended.machine)
@@ -394,7 +394,9 @@ class AbstractMachine(eqx.Module):
             removed=dataclasses.replace(removed, pose=removed.pose - start),
             has_failed=periods.has_failed,
             standing_count=ran - last,
-            looks=None if looks is None else jax.tree.map(prepend_zeros, looks),
+            engagement_updates=(
+                None if updates is None else jax.tree.map(prepend_zeros, updates)
+            ),
             state=RunState(kept, ended.machine, state.period_count + ran, cut_by),
         )
 
@@ -499,33 +501,33 @@ def outcome(ended: "ProcessState | RunEnd", is_finite: Bool[Array, ""]) -> RESUL
     return RESULTS.where(is_finite, result, RESULTS.non_finite)
 
 
-class Looks(NamedTuple):
-    """Looks at the stock in a run, for the tooth period before each instant.
+class EngagementUpdates(NamedTuple):
+    """Engagement updates in a run, for the tooth period before each instant.
 
     Attributes:
-        is_look: Whether the stock was looked up, shape (step,).
-        miss: By how much the force found there is off the force of the engagement that
-            was held [N], shape (step,); zero elsewhere.
+        is_update: Whether the stock was read, shape (step,).
+        miss: Difference of the force found there from that of the engagement that was
+            reused until then [N], shape (step,); zero elsewhere.
     """
 
-    is_look: Bool[Array | np.ndarray, " step"]
+    is_update: Bool[Array | np.ndarray, " step"]
     miss: Float[Array | np.ndarray, " step"]
 
     @staticmethod
-    def none(count: int, dtype: np.dtype) -> "Looks":
-        """Room for the looks of a run, on the host."""
-        return Looks(np.zeros(count, bool), np.zeros(count, dtype))
+    def none(count: int, dtype: np.dtype) -> "EngagementUpdates":
+        """Room for the updates of a run, on the host."""
+        return EngagementUpdates(np.zeros(count, bool), np.zeros(count, dtype))
 
     def force_error(self) -> Float[np.ndarray, " step"]:
-        """Estimate of what holding the engagement costs in force [N], on the host.
+        """Estimated error of the force by reuse of the engagement [N], on the host.
 
-        It grows from look to look up to what the later one finds, shape (step,).
+        It grows from update to update up to what the later one finds, shape (step,).
         """
-        is_look, miss = np.asarray(self.is_look), np.asarray(self.miss)
-        number = np.arange(is_look.size)
-        before = np.maximum.accumulate(np.where(is_look, number, 0))
+        is_update, miss = np.asarray(self.is_update), np.asarray(self.miss)
+        number = np.arange(is_update.size)
+        before = np.maximum.accumulate(np.where(is_update, number, 0))
         before = np.concatenate([[0], before[:-1]])
-        behind = np.minimum.accumulate(np.where(is_look, number, number[-1])[::-1])
+        behind = np.minimum.accumulate(np.where(is_update, number, number[-1])[::-1])
         behind = behind[::-1]
         return miss[behind] * (number - before) / np.maximum(behind - before, 1)
 
@@ -549,7 +551,7 @@ class Run(eqx.Module):
             [N], if it was asked for; sample j of n is that at the share (j + 1/2) / n
             of the period, shape (step, sample, 3).
         chips: Chips of the teeth in a revolution, if they were asked for.
-        looks: As of `RunSegment`.
+        engagement_updates: As of `RunSegment`.
     """
 
     time: Float[Array, " step"]
@@ -562,7 +564,7 @@ class Run(eqx.Module):
     removal: Removal | PendingRemoval
     instantaneous_force: Float[Array, "step sample 3"] | None = None
     chips: TurnChips | None = None
-    looks: Looks | None = None
+    engagement_updates: EngagementUpdates | None = None
 
     @property
     def removed_volume(self) -> Float[Array, " step"]:
@@ -630,7 +632,7 @@ class RunSegment(eqx.Module):
         standing_count: Periods run behind the last row that counts, in which the tool
             stands, shape ().
         state: State after them. What still waits for removal is in it.
-        looks: The looks at the stock of an adaptive run; None if each period looks.
+        engagement_updates: Those of an adaptive run; None if each period has one.
     """
 
     actual: Float[Array, "step 3"]
@@ -642,7 +644,7 @@ class RunSegment(eqx.Module):
     has_failed: Bool[Array, " period"]
     standing_count: Int[Array, ""]
     state: RunState
-    looks: Looks | None = None
+    engagement_updates: EngagementUpdates | None = None
 
 
 class RunEnd(eqx.Module):

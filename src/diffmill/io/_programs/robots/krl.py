@@ -345,7 +345,7 @@ def _declare_data(row: str, line: int, reader: _Krl) -> bool:
         values = variables.shared
     try:
         if match := _INLINE_DATA.fullmatch(row):
-            reader.known.keep_data(match[1], match[2], values)
+            reader.known.declare_data(match[1], match[2], values)
             return True
         return reader.known.declare(
             row, lambda text: _components(text, line, reader), values

@@ -179,8 +179,10 @@ class KrlValues:
         self.texts = Texts(self.variables, grammar)
         self._types = dict(_TYPES)
 
-    def keep_data(self, name: str, text: str, values: dict[Name, Value] | None) -> None:
-        """Keep data of an inline form such as {TOOL_NO 1,BASE_NO 2} as written."""
+    def declare_data(
+        self, name: str, text: str, values: dict[Name, Value] | None
+    ) -> None:
+        """Declare data of an inline form such as {TOOL_NO 1,BASE_NO 2}, as written."""
         self.variables.declare(f"data {name.upper()}", text, values)
 
     def data(self, name: str) -> str:

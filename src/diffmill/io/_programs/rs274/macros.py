@@ -81,7 +81,7 @@ class _Line(NamedTuple):
 
 
 class Library(NamedTuple):
-    """Where subprograms are that a program calls: its folder, and its files so far."""
+    """Files of the subprograms that a program calls: its folder, and those so far."""
 
     folder: Folder
     sources: Sources

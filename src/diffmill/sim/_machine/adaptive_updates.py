@@ -1,15 +1,18 @@
-"""Steady stretches: one look at the stock stands for several tooth periods.
+"""Adaptive engagement updates: several tooth periods of a steady cut share one.
 
 Where a cut is steady the teeth meet the same material period after period. Between two
-looks the engagement is held while the tool moves on with it: the force follows the
+updates the engagement is reused while the tool moves on with it: the force follows the
 chips of the actual path, sub-step after sub-step, so that machine and regeneration are
-those of the full run. What is held are the shares of the edges that are in the stock.
+those of the full run. What is reused are the shares of the edges that are in the stock.
 
-    look at row k + n  ->  |F_found - F_held| <= tolerance max |F|:  keep the block
-                           else go back to row k and try n / 2
+    update in period k + n  ->  |F - F_reused| <= tolerance max |F|: keep the block
+                                else return to period k and try n / 2
 
-Passes of the teeth that lie behind by the lag are removed from block to block,
-together. With blocks of one period it is the full run.
+# symbols: k period before the block, n its length, F force of the update, F_reused that
+of the engagement before it
+
+Passes of the teeth behind the lag are removed between two blocks, together. With blocks
+of one period it is the full run.
 """
 
 from typing import NamedTuple
@@ -29,7 +32,7 @@ from ...process import (
 from ...workpiece import Pose
 from .machine import (
     AbstractMachine,
-    Looks,
+    EngagementUpdates,
     Period,
     PeriodRow,
     RunState,
@@ -37,25 +40,25 @@ from .machine import (
 )
 from .rigid import period_wrench
 
-# Miss of a look that is accepted, as a share of the largest force.
+# Difference of the forces at an update that is accepted, as a share of the largest.
 _TOLERANCE = 0.01
 # Periods of a block at most; its way as a share of the lag of removal, which what a
 # block itself has cut must not exceed by much, and of the cutter's radius.
 _MOST, _LAGS, _RADII = 32, 1.0, 0.5
 # Where hardly any force acts, less than this share of the largest, a block goes a
-# quarter of that: what the tool touches in passing must not lie between two looks.
+# quarter of that: what the tool touches in passing must not lie between two updates.
 _SLIGHT = 0.05
-# A block whose miss is less than this share of the tolerance is followed by one twice
-# as long; one that misses by more than this multiple is tried again with a quarter.
+# A block with a difference below this share of the tolerance is followed by one twice
+# as long; one with a difference above this multiple is tried again with a quarter.
 _CLOSE, _FAR = 0.35, 6.0
 
 
-class HeldEngagement(eqx.Module):
-    """Engagement of a look, that later periods keep.
+class ReusedEngagement(eqx.Module):
+    """Engagement of an update, for later periods.
 
     Attributes:
         samples: The edges.
-        period: The period of the look, shape ().
+        period: The period of the update, shape ().
     """
 
     samples: EdgeSamples
@@ -82,10 +85,10 @@ class _Row(NamedTuple):
         state: Of the run; stock and track are those of before the block, but for what
             its periods have written into the track.
         found: The engagement of the newest period.
-        miss: As of `Looks`, of the newest period, shape ().
+        miss: As of `EngagementUpdates`, of the newest period, shape ().
         force: Size of the force of that period [N], shape ().
         rows: The outputs.
-        has_looked: Whether the newest period looked.
+        has_updated: Whether the newest period had an update.
     """
 
     done: Int[Array, ""]
@@ -94,7 +97,7 @@ class _Row(NamedTuple):
     miss: Float[Array, ""]
     force: Float[Array, ""]
     rows: Period
-    has_looked: Bool[Array, ""]
+    has_updated: Bool[Array, ""]
 
 
 class _Block(NamedTuple):
@@ -103,30 +106,30 @@ class _Block(NamedTuple):
     Attributes:
         done: Periods done, shape ().
         length: Periods of the next block, shape ().
-        held: The engagement of the last look.
+        reused: The engagement of the last update.
         largest: Largest force so far [N], shape ().
         state: Of the run.
         rows: The outputs, as far as they are known.
-        looks: The looks, likewise.
+        updates: The engagement updates, likewise.
         removed: What was removed.
         step: Way of the tool in a period of the last block [m], shape ().
-        force: Size of the force at the last look [N], shape ().
+        force: Size of the force at the last update [N], shape ().
     """
 
     done: Int[Array, ""]
     length: Int[Array, ""]
-    held: HeldEngagement
+    reused: ReusedEngagement
     largest: Float[Array, ""]
     state: RunState
     rows: Period
-    looks: Looks
+    updates: EngagementUpdates
     removed: RemovedVolume
     step: Float[Array, ""]
     force: Float[Array, ""]
 
 
-class _Stretches(eqx.Module):
-    """Run of some periods in blocks, of which only the last one looks at the stock.
+class _AdaptiveRun(eqx.Module):
+    """Run of some periods in blocks, with an update in the last period of each.
 
     Attributes:
         machine: The machine.
@@ -147,8 +150,8 @@ class _Stretches(eqx.Module):
         radius = process.cutter.nominal_radius
         return jnp.minimum(_LAGS * process.engagement.removal_lag, _RADII * radius)
 
-    def run(self, state: RunState) -> tuple[RunState, Period, Looks]:
-        """State after the periods, their outputs, and the looks.
+    def run(self, state: RunState) -> tuple[RunState, Period, EngagementUpdates]:
+        """State after the periods, their outputs, and the updates.
 
         The volumes of the outputs are those of all poses of the track.
 
@@ -159,7 +162,7 @@ class _Stretches(eqx.Module):
         block = lambda given: self._block(given)
         ended = jax.lax.while_loop(is_going, block, self._begun(state))
         periods = eqx.tree_at(lambda p: p.removed, ended.rows, ended.removed)
-        return ended.state, periods, ended.looks
+        return ended.state, periods, ended.updates
 
     def _is_clear(self, tip: Float[Array, " 3"]) -> Bool[Array, ""]:
         """True if the tool is clear of the stock by more than a step."""
@@ -192,11 +195,11 @@ class _Stretches(eqx.Module):
         return _Block(
             done=jnp.zeros((), jnp.int32),
             length=jnp.ones((), jnp.int32),
-            held=HeldEngagement(samples, first.period),
+            reused=ReusedEngagement(samples, first.period),
             largest=zero,
             state=state,
             rows=jax.tree.map(room, period),
-            looks=Looks(jnp.zeros(count, bool), jnp.zeros(count, dtype)),
+            updates=EngagementUpdates(jnp.zeros(count, bool), jnp.zeros(count, dtype)),
             removed=RemovedVolume.nothing(poses, dtype),
             step=zero,
             force=zero,
@@ -216,14 +219,14 @@ class _Stretches(eqx.Module):
         row = _Row(
             done=jnp.zeros((), jnp.int32),
             state=begun,
-            found=given.held.samples,
+            found=given.reused.samples,
             miss=zero,
             force=zero,
             rows=given.rows,
-            has_looked=jnp.zeros((), bool),
+            has_updated=jnp.zeros((), bool),
         )
         ran = jax.lax.while_loop(
-            lambda each: ~each.has_looked,
+            lambda each: ~each.has_updated,
             lambda each: self._row(each, given, length, cut.newest.travel + longest),
             row,
         )
@@ -235,21 +238,22 @@ class _Stretches(eqx.Module):
         # written into the track is written anew.
         small = jax.tree.map(pick, _without_stock(ran.state), _without_stock(begun))
         way = ran.state.process.newest.travel - cut.newest.travel
-        found = HeldEngagement(ran.found, before + ran.done)
+        found = ReusedEngagement(ran.found, before + ran.done)
         at = k + ran.done - 1
         put = lambda x, new: x.at[at].set(new)
-        looks = Looks(*map(put, given.looks, (is_kept, pick(ran.miss, zero))))
+        new = is_kept, pick(ran.miss, zero)
+        updates = EngagementUpdates(*map(put, given.updates, new))
         shorter = jnp.where(miss > _FAR * _TOLERANCE, ran.done // 4, ran.done // 2)
         longer = jnp.where(miss < _CLOSE * _TOLERANCE, 2 * length, length)
         longer = jnp.where(miss > _TOLERANCE, 1, longer)
         return _Block(
             done=jnp.where(is_kept, k + ran.done, k),
             length=jnp.clip(jnp.where(is_kept, longer, shorter), 1, _MOST),
-            held=jax.tree.map(pick, found, given.held),
+            reused=jax.tree.map(pick, found, given.reused),
             largest=pick(largest, given.largest),
             state=eqx.combine(small, ran.state),
             rows=ran.rows,
-            looks=looks,
+            updates=updates,
             removed=removed,
             step=pick(way / ran.done.astype(way.dtype), given.step),
             force=pick(ran.force, given.force),
@@ -276,16 +280,16 @@ class _Stretches(eqx.Module):
         is_far &= state.process.newest.travel >= farthest
         is_last = (each.done + 1 >= length) | is_far
         is_last |= ~process.removal.has_room(state.process)
-        held = given.held.at(process, row.period)
-        looks = is_last if row.is_live is None else is_last & row.is_live
+        reused = given.reused.at(process, row.period)
+        updates = is_last if row.is_live is None else is_last & row.is_live
 
         def engage(
             process: Process, state: ProcessState, row: PeriodRow, predicted: Pose
         ) -> Engagement:
             return jax.lax.cond(
-                looks,
+                updates,
                 lambda: process.engage(state, row.period, predicted),
-                lambda: Engagement(held, process.removal.decimated_poses(state)),
+                lambda: Engagement(reused, process.removal.decimated_poses(state)),
             )
 
         access = StockAccess(engage, _enter)
@@ -295,7 +299,7 @@ class _Stretches(eqx.Module):
 
         def miss() -> Float[Array, ""]:
             recent = state.process.recent
-            kept = eqx.tree_at(lambda e: e.samples, cut, held)
+            kept = eqx.tree_at(lambda e: e.samples, cut, reused)
             wrench = period_wrench(process, kept, ended.process.recent[0], recent)
             off = jnp.mean(wrench[:, :3], axis=0) - out.force
             return jnp.sqrt(jnp.sum(off**2))
@@ -305,21 +309,21 @@ class _Stretches(eqx.Module):
             done=each.done + 1,
             state=ended,
             found=cut.samples,
-            miss=jax.lax.cond(looks, miss, lambda: jnp.zeros_like(each.miss)),
+            miss=jax.lax.cond(updates, miss, lambda: jnp.zeros_like(each.miss)),
             force=jnp.sqrt(jnp.sum(out.force**2)),
             rows=jax.tree.map(put, each.rows, out.recorded()),
-            has_looked=is_last,
+            has_updated=is_last,
         )
 
 
-def run_in_blocks(
+def run_adaptive(
     machine: AbstractMachine,
     process: Process,
     state: RunState,
     rows: PeriodRow,
     count: Int[Array, ""],
-) -> tuple[RunState, Period, Looks]:
-    """State behind some periods, their outputs, and the looks.
+) -> tuple[RunState, Period, EngagementUpdates]:
+    """State behind some periods, their outputs, and the updates.
 
     Args:
         machine: The machine.
@@ -329,11 +333,11 @@ def run_in_blocks(
         count: How many of them are run, shape (); those behind have no outputs.
 
     Returns:
-        State, outputs and looks; the volumes are those of all poses of the track.
+        State, outputs and updates; the volumes are those of all poses of the track.
 
     Raises:
         ValueError: Teeth are not alike, passes do not wait for their removal, or a
-            period looks several times.
+            period has several updates.
 
     **Differentiability**: in forward mode.
     """
@@ -341,10 +345,10 @@ def run_in_blocks(
     if not is_even or process.engagement.updates_per_period > 1:
         raise ValueError(
             "Argument `process` must have a cutter of even pitch and without run-out, "
-            'the chips of "near_far" and one look in a period for its engagement to '
-            "be held."
+            'the chips of "near_far" and one engagement update in a period, which is '
+            "then reused."
         )
-    return _Stretches(machine, process, rows, count).run(state)
+    return _AdaptiveRun(machine, process, rows, count).run(state)
 
 
 def _enter(

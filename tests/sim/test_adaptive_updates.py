@@ -1,4 +1,4 @@
-"""Steady stretches: looks at the stock now and then give the run of every tooth."""
+"""Adaptive engagement updates give the run with an update at every tooth."""
 
 import dataclasses
 
@@ -51,12 +51,15 @@ def test_a_held_engagement_gives_the_run_of_every_tooth(tmp_path, kind):
         np.testing.assert_allclose(found, wanted, 2e-3, 1e-15, err_msg=name)
     np.testing.assert_allclose(held.stock.volume(), full.stock.volume(), 2e-4)
     if kind != "rigid":
-        # Fewer looks than teeth, and an estimate that is no smaller than the error.
-        assert held.is_look is not None and np.mean(held.is_look) < 0.8
-        estimate = rms(np.asarray(held.held_force_error)[is_cut][:, None])
+        # Fewer updates than teeth, and an estimate that is no smaller than the error.
+        updates = held.is_engagement_update
+        assert updates is not None and np.mean(updates) < 0.8
+        estimate = rms(np.asarray(held.engagement_force_error)[is_cut][:, None])
         assert rms(off) < 2 * estimate
-        assert {"is_look", "held_force_error"} <= set(held.to_dataset())
-    assert full.is_look is None and "is_look" not in full.to_dataset()
+        names = {"is_engagement_update", "engagement_force_error"}
+        assert names <= set(held.to_dataset())
+    assert full.is_engagement_update is None
+    assert "is_engagement_update" not in full.to_dataset()
 
 
 def test_segments_and_interruptions_change_little(tmp_path):
@@ -74,7 +77,7 @@ def test_segments_and_interruptions_change_little(tmp_path):
     np.testing.assert_allclose(found.force, whole.force, 0, 0.02 * largest)
 
 
-def test_what_is_traced_looks_at_every_tooth(tmp_path):
+def test_what_is_traced_has_an_update_at_every_tooth(tmp_path):
     job = job_of(tmp_path, "elastic")
 
     way = 1e-5 * np.sin(np.arange(3 * job.path.step_count)).reshape(-1, 3)
