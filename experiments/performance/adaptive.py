@@ -72,7 +72,8 @@ def compare(report, title, job):
     expected = np.sqrt(np.mean(np.asarray(held.engagement_force_error)[is_cut] ** 2))
     surface = np.asarray(held.surface_deviation - full.surface_deviation)[is_cut]
     report.say(
-        f"{title}: {is_cut.size} rows, engagement updates in "
+        f"{title}: {is_cut.size} rows, {1e6 * seconds / is_cut.size:.0f} us a row, "
+        f"adaptive {1e6 * shorter / is_cut.size:.0f} us; engagement updates in "
         f"{100 * np.mean(held.is_engagement_update):.0f} %; deviation "
         f"{1e6 * size:.1f} um rms, off "
         f"by {100 * np.sqrt(np.mean(off**2)) / size:.2f} % rms; force "
