@@ -248,6 +248,11 @@ CALLS: dict[str, Callable[[], Call]] = {
         (rows(4),),
         has_slopes=False,
     ),
+    "numerics.batched_in_turn": lambda: Call(
+        lambda a, x: nm.batched_in_turn(lambda a, x: jnp.sin(a * x))(a, x),
+        jnp.asarray(0.5),
+        (rows(4),),
+    ),
     "numerics.small_inverse": lambda: Call(
         lambda _, A: nm.small_inverse(A @ A.T + jnp.eye(3)), None, (rows(3, 3),)
     ),

@@ -7,7 +7,8 @@ arguments. `hat_integral` is the smooth step whose sum over samples does not dep
 their phase, `ramp` a kink rounded off, `clamp` a clamp with a cheap derivative,
 `small_inverse` an inverse that batches well. The rest changes machine code and no
 result (`docs/machine_code.md`): `materialise`, `Rematerialised`, `with_derivative_of`,
-`as_scalar_code` and `CachedJit`.
+`as_scalar_code`,
+`batched_in_turn` and `CachedJit`.
 
 Assumes equally spaced samples on the host. Leaves out what JAX, equinox and optimistix
 already give, and filters within a traced function.
@@ -16,6 +17,7 @@ already give, and filters within a traced function.
 from ._filters import lowpass as lowpass
 from ._inverse import small_inverse as small_inverse
 from ._kinks import clamp as clamp, hat_integral as hat_integral, ramp as ramp
+from ._xla.batch_in_turn import batched_in_turn as batched_in_turn
 from ._xla.cached_jit import CachedJit as CachedJit
 from ._xla.materialise import materialise as materialise
 from ._xla.rematerialise import Rematerialised as Rematerialised

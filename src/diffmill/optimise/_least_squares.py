@@ -36,8 +36,9 @@ _MAX_RAISES = 20
 # singular to rounding.
 _LEAST_DAMPING = 1e-10
 # Share of the cost that a step must be foreseen to take away for its point to be taken
-# for the next one before it is tried.
-_LARGE_DECREASE = 0.5
+# for the next one before it is tried. What its model costs beside its value is lost
+# only where the point is refused, which is rare.
+_LARGE_DECREASE = 0.1
 # A step so near to a bound, as a share of its range, is at the bound.
 _AT_BOUND_SHARE = 1e-7
 

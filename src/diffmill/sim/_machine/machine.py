@@ -34,6 +34,7 @@ from ..._padding import (
 )
 from ..._result import RESULTS
 from ..._types import IntScalar
+from ...numerics import batched_in_turn
 from ...process import Engagement, Process, ProcessState, RemovedVolume
 from ...workpiece import Pose, PoseTrack, Rays, Stock
 
@@ -269,6 +270,7 @@ class AbstractMachine(eqx.Module):
         ran = self.run_rows(process, command, row_count)
         return ran.finished(ran.pending().finish(process))
 
+    @batched_in_turn
     def run_rows(
         self, process: Process, command: PyTree, row_count: IntScalar | None
     ) -> "Run":
