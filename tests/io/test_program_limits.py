@@ -280,6 +280,45 @@ def test_many_short_moves_are_refused_in_the_end(monkeypatch):
     assert "line 2001: the program makes more than 2000 moves" in message
 
 
+CURVES = """
+import sys, time
+from diffmill.io import read_program
+begin = time.process_time()
+moves = read_program(sys.argv[1]).moves
+print(len(moves), time.process_time() - begin)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [99_000, 3])
+def test_splines_take_about_as_long_as_lines(tmp_path, count):
+    # In one block, or in blocks of three points.
+    places = [f"{{X {k % 900},Y {k * 1e-3},Z {k % 7 * 1e-3}}}\n" for k in range(99_000)]
+    head, spent = "DEF a()\n$VEL.CP=1\nPTP {X 1,Y -1,Z 1}\n", []
+    rows = [f"SPL {place}" for place in places]
+    ends = range(count, len(rows) + 1, count)
+    blocks = [f"SPLINE\n{''.join(rows[end - count : end])}ENDSPLINE\n" for end in ends]
+    for body in ([f"LIN {place}" for place in places], blocks):
+        file = tmp_path / "curve.src"
+        file.write_text(f"{head}{''.join(body)}END\n")
+        code = CURVES.replace("sys.argv[1]", repr(str(file)))
+        done = python(code, check=True).stdout.split()
+        spent.append(float(done[1]) / max(int(done[0]), 99_000))
+    assert spent[1] < 3 * spent[0]
+
+
+def test_splines_of_too_many_pieces_are_refused_before_they_are_made(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setattr("diffmill.io._programs.move_list.MOST_CYCLE_MOVES", 1000)
+    points = "".join(f"SPL {{X {k % 90},Z {k % 7 * 30}}}\n" for k in range(40))
+    file = tmp_path / "curve.src"
+    text = f"DEF a()\n$VEL.CP=1\nPTP {{X 1}}\nSPLINE\n{points}ENDSPLINE\nEND"
+    file.write_text(text)
+    message = refused(lambda: read_program(file))
+    assert "line 45: the pieces of splines make more than 1000 moves" in message
+
+
 def test_an_arc_of_too_many_pieces_is_not_cut_short():
     program = parse_gcode("G0 X0 Y0 Z0\nG2 I10 P9999 Z-1 F60\n")
     with pytest.raises(ValueError, match=r"line 2: the arc takes \d+ straight pieces"):

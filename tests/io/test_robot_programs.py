@@ -183,6 +183,32 @@ def test_an_arc_of_krl_over_an_angle(read, angle, end, normal):
     assert arc.normal[2] * arc.turn / abs(arc.turn) == pytest.approx(normal)
 
 
+def test_a_spline_is_the_natural_cubic_one_through_its_points(read):
+    rng = np.random.default_rng(3)
+    places = rng.uniform(-90, 90, (12, 6)) * [1, 1, 1, 0.3, 0.3, 0.3]
+    places[:, 5] += 180
+    rows = [
+        ",".join(
+            f"{name} {value:.6f}" for name, value in zip("XYZABC", row, strict=True)
+        )
+        for row in places
+    ]
+    points = "".join(f"SPL {{{row}}}\n" for row in rows[1:])
+    text = f"DEF a( )\nPTP {{{rows[0]}}}\n$VEL.CP=1\nSPLINE\n{points}ENDSPLINE\nEND"
+    moves = read(text, ".src").moves[1:]
+    chords = np.linalg.norm(np.diff(1e-3 * places[:, :3], axis=0), axis=1)
+    length = np.concatenate([[0.0], np.cumsum(chords)])
+    lines = np.array([move.line for move in moves])
+    share = [np.arange(1, n + 1) / n for n in np.unique(lines, return_counts=True)[1]]
+    at = np.concatenate([length[k] + chords[k] * part for k, part in enumerate(share)])
+    curve = interpolate.CubicSpline(length, 1e-3 * places[:, :3], bc_type="natural")
+    np.testing.assert_allclose([move.end for move in moves], curve(at), atol=2e-9)
+    for move in moves:
+        assert np.linalg.norm(move.axis) == pytest.approx(1)
+        assert np.linalg.norm(move.tool_x) == pytest.approx(1)
+        assert np.dot(move.axis, move.tool_x) == pytest.approx(0, abs=1e-12)
+
+
 def test_straight_and_round_pieces_of_a_spline_block_are_exact(read):
     block = "SPLINE\nSPL {X 1,Y 1}\nSPL {X 2,Y 0}\nSLIN {X 3}\n"
     block += "SCIRC {X 4,Y 1},{X 5,Y 0}\nENDSPLINE\nEND"

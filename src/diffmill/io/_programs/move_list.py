@@ -115,15 +115,17 @@ class MoveList:
                 self.is_approach = False
         self.moves.append(move)
 
-    def reserve(self, count: int | float, line: int) -> None:
-        """Refuse more moves of canned cycles than a program may make, before they are.
+    def reserve(
+        self, count: int | float, line: int, what: str = "canned cycles"
+    ) -> None:
+        """Refuse more moves than few lines may ask for, before they are made.
 
         Raises:
             ProgramError: If `count` more are too many.
         """
         self._cycle_moves += count
         if not self._cycle_moves <= MOST_CYCLE_MOVES:
-            message = f"canned cycles make more than {MOST_CYCLE_MOVES} moves."
+            message = f"{what} make more than {MOST_CYCLE_MOVES} moves."
             raise ProgramError(self.name, [*self.faults, Fault(line, "", message)])
 
     def dwell(self, duration: float, line: int, word: str = "") -> None:

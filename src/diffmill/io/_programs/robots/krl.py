@@ -12,8 +12,10 @@ import itertools
 import math
 import pathlib
 import re
+from collections.abc import Iterator
 
 import numpy as np
+from jaxtyping import Float
 
 from ....toolpath import Point, Program
 from ..expressions import (
@@ -124,6 +126,9 @@ _JOINTS = frozenset(["A1", "A2", "A3", "A4", "A5", "A6"])
 # A spline is read as so many straight pieces between two of its points at most.
 _MOST_PIECES = 64
 _SPLINE_TOLERANCE = 0.1e-6
+_KNOTS_AT_ONCE = 1000
+# What a point may take on average, however many there are.
+_FREE_PIECES = 4
 _PLAIN, _NO_FOLDER = ProgramSetup(), Folder()
 
 
@@ -166,6 +171,8 @@ class _Krl(Language):
 
 class _Knot:
     """A point of a spline block: where, how and how fast it is reached, which share."""
+
+    __slots__ = ("feed", "kind", "line", "place", "share", "through")
 
     def __init__(self, place: ToolPlace, line: int, kind: str):
         self.place, self.line, self.kind = place, line, kind
@@ -779,8 +786,6 @@ def _spline(word: str, row: str, line: int, reader: _Krl) -> None:
 
 def _spline_moves(knots: list[_Knot], line: int, reader: _Krl) -> None:
     """Make the moves of a cubic spline through points."""
-    from scipy.interpolate import CubicSpline
-
     here = ToolPlace(reader.position, reader.axis, reader.tool_x)
     places = [here, *(knot.place for knot in knots)]
     is_turned = all(place.tool_x is not None for place in places)
@@ -790,30 +795,74 @@ def _spline_moves(knots: list[_Knot], line: int, reader: _Krl) -> None:
             for place in places
         ]
     )
-    points = rows[:, :3]
     shares = np.array([knot.share for knot in knots])
     is_timed = not np.isnan(shares).any()
-    steps = shares if is_timed else np.linalg.norm(np.diff(points, axis=0), axis=1)
-    time = np.concatenate([[0.0], np.cumsum(steps)])
-    if not np.all(np.diff(time) > 0) or not np.isfinite(rows).all():
+    chords = _lengths(np.diff(rows[:, :3], axis=0))
+    steps = shares if is_timed else chords
+    if not np.all(steps > 0) or not np.isfinite(rows).all():
         message = "two points of the spline are the same, or too far away."
         reader.refuse(line, "ENDSPLINE", message)
         return
-    curve = CubicSpline(time, rows, bc_type="natural")
-    bend = np.linalg.norm(curve(time, 2)[:, :3], axis=1)
-    for index, knot in enumerate(knots):
-        reader.feed = knot.feed
-        largest = max(bend[index], bend[index + 1])
-        count = math.ceil(steps[index] * math.sqrt(largest / (8 * _SPLINE_TOLERANCE)))
-        count = min(max(count, 1), _MOST_PIECES)
-        at = time[index] + steps[index] * np.arange(1, count + 1) / count
-        for row in curve(at):
-            x, y, z = row[:3].tolist()
-            i, j, k = unit = row[3:6] / np.linalg.norm(row[3:6])
-            axis, tool_x = (float(i), float(j), float(k)), None
-            if is_turned:
-                u, v, w = across = row[6:] - (row[6:] @ unit) * unit
-                size = float(np.linalg.norm(across))
-                tool_x = (float(u) / size, float(v) / size, float(w) / size)
-            duration = float(steps[index]) / count if is_timed else None
-            reader.line_to((x, y, z), axis, knot.line, duration=duration, tool_x=tool_x)
+    bends = _natural_bends(rows, steps)
+    bend = _lengths(bends[:, :3])
+    largest = np.maximum(bend[:-1], bend[1:])
+    counts = np.ceil(steps * np.sqrt(largest / (8 * _SPLINE_TOLERANCE)))
+    counts = np.clip(counts, 1, _MOST_PIECES).astype(int)
+    beyond = int(counts.sum()) - _FREE_PIECES * len(knots)
+    reader.out.reserve(max(beyond, 0), line, "the pieces of splines")
+    for first in range(0, len(knots), _KNOTS_AT_ONCE):
+        part = slice(first, first + _KNOTS_AT_ONCE)
+        count = counts[part]
+        segment = np.repeat(np.arange(count.size) + first, count)
+        before = np.repeat(np.cumsum(count) - count, count)
+        share = ((np.arange(segment.size) - before + 1) / counts[segment])[:, None]
+        rest, step = 1 - share, steps[segment][:, None]
+        made = rest * rows[segment] + share * rows[segment + 1]
+        made += (rest**3 - rest) * step**2 / 6 * bends[segment]
+        made += (share**3 - share) * step**2 / 6 * bends[segment + 1]
+        unit = made[:, 3:6] / _lengths(made[:, 3:6])[:, None]
+        sides = itertools.repeat(None)
+        if is_turned:
+            side = made[:, 6:]
+            side = side - np.einsum("ij,ij->i", side, unit)[:, None] * unit
+            sides = _points(side / _lengths(side)[:, None])
+        pieces = zip(
+            segment.tolist(), _points(made[:, :3]), _points(unit), sides, strict=False
+        )
+        for index, tip, axis, tool_x in pieces:
+            knot = knots[index]
+            reader.feed = knot.feed
+            pace = float(steps[index] / counts[index]) if is_timed else None
+            reader.line_to(tip, axis, knot.line, duration=pace, tool_x=tool_x)
+
+
+def _points(rows: Float[np.ndarray, "row 3"]) -> Iterator[Point]:
+    """Points of rows."""
+    x, y, z = rows.T.tolist()
+    return zip(x, y, z, strict=True)
+
+
+def _lengths(rows: Float[np.ndarray, "row value"]) -> Float[np.ndarray, " row"]:
+    """Lengths of rows."""
+    return np.sqrt(np.einsum("ij,ij->i", rows, rows))
+
+
+def _natural_bends(
+    rows: Float[np.ndarray, "point value"], steps: Float[np.ndarray, " segment"]
+) -> Float[np.ndarray, "point value"]:
+    """Second derivatives of the natural cubic spline through rows at its points.
+
+    Blocks of few points are many, for which a solver of equations takes longer to call
+    than to solve them.
+    """
+    bends = np.zeros_like(rows)
+    slopes = np.diff(rows, axis=0) / steps[:, None]
+    sums, h = 6 * np.diff(slopes, axis=0), steps.tolist()
+    ratio = [0.0] * len(rows)
+    for at in range(1, len(h)):
+        pivot = 2 * (h[at - 1] + h[at]) - h[at - 1] * ratio[at - 1]
+        ratio[at] = h[at] / pivot
+        bends[at] = (sums[at - 1] - h[at - 1] * bends[at - 1]) / pivot
+    for at in range(len(h) - 1, 0, -1):
+        bends[at] -= ratio[at] * bends[at + 1]
+    return bends

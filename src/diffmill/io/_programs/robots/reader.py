@@ -147,9 +147,16 @@ class Reader:
         """Make a straight move; from an unknown place it is an approach."""
         is_rapid |= not self.is_placed
         feed = None if is_rapid else self._feed(line, duration)
-        move = Move(self.position, end, feed=feed, is_rapid=is_rapid, line=line)
-        duration = None if is_rapid else duration
-        move = move._replace(duration=duration, axis=axis, tool_x=tool_x)
+        move = Move(
+            self.position,
+            end,
+            feed=feed,
+            duration=None if is_rapid else duration,
+            is_rapid=is_rapid,
+            line=line,
+            axis=axis,
+            tool_x=tool_x,
+        )
         self.out.add(move, "XYZ")
         self.position, self.axis, self.tool_x = end, axis, tool_x
         self.is_placed = True
