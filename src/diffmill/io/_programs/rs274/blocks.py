@@ -90,6 +90,7 @@ class Block:
 
     Attributes:
         line: Line of the file, from 1.
+        faults: Receives what is wrong with it.
         g: G codes times ten, by modal group; "refused" holds one that is not known.
         m: M codes by modal group.
         values: Other words by letter.
@@ -100,6 +101,7 @@ class Block:
     """
 
     line: int
+    faults: list[Fault]
     g: dict[str, int] = field(default_factory=dict)
     m: dict[str, int] = field(default_factory=dict)
     values: dict[str, Word] = field(default_factory=dict)
@@ -107,6 +109,10 @@ class Block:
     is_g_refused: bool = False
     used: set[str] = field(default_factory=set)
     rotary: list[Word] = field(default_factory=list)
+
+    def refuse(self, word: str, message: str, is_unsupported: bool = False) -> None:
+        """Report a fault of one of its words, as written."""
+        self.faults.append(Fault(self.line, word, message, is_unsupported))
 
     def number(self, letter: str) -> float | None:
         """Return the number of a letter, or None; it counts as used."""
@@ -134,7 +140,7 @@ class Block:
 
 def sorted_block(words: list[Word], line: int, faults: list[Fault]) -> Block:
     """Return the words of a line by their meaning; report those that have none."""
-    block = Block(line)
+    block = Block(line, faults)
     codes = [round(word.number) for word in words if word.letter == "M"]
     groups = [_M_GROUPS.get(code, "") for code in codes]
     if any(word.letter == "G" and word.number == 187 for word in words):
@@ -145,40 +151,32 @@ def sorted_block(words: list[Word], line: int, faults: list[Fault]) -> Block:
         if letter in own:
             continue
         if letter == "G":
-            _add_code(block, word, round(word.number * 10), 10, faults)
+            _add_code(block, word, round(word.number * 10), 10)
         elif letter == "M":
-            _add_code(block, word, round(word.number), 1, faults)
+            _add_code(block, word, round(word.number), 1)
         elif letter == "N" and (index > 0 or word.number < 0):
             message = "a line number N is not negative and starts its line."
-            faults.append(Fault(line, word.text, message))
+            block.refuse(word.text, message)
         elif letter in _LETTERS:
             if letter in block.values:
                 message = f"only one {letter} is allowed in a line."
-                faults.append(Fault(line, word.text, message))
+                block.refuse(word.text, message)
             block.values.setdefault(letter, word)
         elif letter in _ROTARY and word.number == 0:
             block.rotary.append(word)
         else:
             why = " (an axis that turns)" if letter in _ROTARY else ""
             message = f"{letter}{why} is not supported."
-            faults.append(Fault(line, word.text, message, True))
+            block.refuse(word.text, message, True)
     if block.g.get("once", 530) != 530:
         # It would set the zero of the axis, or take it to its reference point.
-        faults += [
-            Fault(
-                line,
-                word.text,
-                f"{word.letter} (an axis that turns) stands still here.",
-                True,
-            )
-            for word in block.rotary
-        ]
+        for word in block.rotary:
+            message = f"{word.letter} (an axis that turns) stands still here."
+            block.refuse(word.text, message, True)
     return block
 
 
-def _add_code(
-    block: Block, word: Word, code: int, factor: int, faults: list[Fault]
-) -> None:
+def _add_code(block: Block, word: Word, code: int, factor: int) -> None:
     """File a G or M code under its modal group, or report it."""
     groups, present = (
         (_G_GROUPS, block.g) if word.letter == "G" else (_M_GROUPS, block.m)
@@ -191,7 +189,7 @@ def _add_code(
         if word.letter == "M":
             message = f'{name} is not supported; [program] pass_over = ["{name}"] '
             message += "leaves it out if it moves nothing."
-        faults.append(Fault(block.line, word.text, message, True))
+        block.refuse(word.text, message, True)
         if word.letter == "G":
             block.is_g_refused = True
             block.g.setdefault("refused", code)
@@ -201,7 +199,7 @@ def _add_code(
             present[group], block.texts[group] = code, word.text
     elif group in present and group not in _SHARED:
         message = f"only one code for {group} is allowed in a line."
-        faults.append(Fault(block.line, word.text, message))
+        block.refuse(word.text, message)
     else:
         present[group] = code
         block.texts[group] = word.text

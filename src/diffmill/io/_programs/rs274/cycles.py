@@ -8,7 +8,6 @@ import math
 from collections.abc import Callable
 
 from ....toolpath import Point
-from ..faults import Fault
 from ..geometry import MM_PER_INCH
 from .blocks import Block
 from .pace import motion_text
@@ -24,17 +23,16 @@ _PECK_CLEARANCE = 0.01
 Go = Callable[[list[float], bool], None]
 
 
-def run_cycle(block: Block, state: State, go: Go, faults: list[Fault]) -> None:
+def run_cycle(block: Block, state: State, go: Go) -> None:
     """Make the moves of a canned cycle.
 
     Args:
         block: A block with axis words.
         state: State before it; its cycle words are updated.
         go: Makes a move from where the tool is.
-        faults: Receives what is wrong.
     """
     depth = state.plane
-    shift = find_shift(block, state, faults)
+    shift = find_shift(block, state)
     _take_words(block, state)
     cycle = _resolved(state, shift)
     repeats = block.number("L")
@@ -42,14 +40,14 @@ def run_cycle(block: Block, state: State, go: Go, faults: list[Fault]) -> None:
         return
     message = _fault(block, state, cycle, repeats)
     if message:
-        faults.append(Fault(block.line, motion_text(block), message))
+        block.refuse(motion_text(block), message)
         return
     place, step = _first_hole(block, state, shift)
     at = list(state.position)
     retract, bottom = cycle.retract, cycle.bottom
     if retract < bottom:
         message = "the retract plane R lies below the bottom of the hole."
-        faults.append(Fault(block.line, motion_text(block), message))
+        block.refuse(motion_text(block), message)
         return
     if cycle.level < retract:
         at[depth] = retract

@@ -193,7 +193,7 @@ def _run_line(row: str, number: int, state: State) -> bool:
     block = sorted_block(words, number, faults)
     if faults and MACRO.search(row):
         return False
-    _execute(block, state, faults)
+    _execute(block, state)
     if faults:
         compact = "".join(row.split())
         state.out.faults += sorted(faults, key=lambda fault: compact.find(fault.word))
@@ -204,7 +204,7 @@ def _run_words(words: list[Word], number: int, state: State) -> list[Fault]:
     """Execute the words of a line; return its faults in their order."""
     faults: list[Fault] = []
     words = _known(words, number, state)
-    _execute(sorted_block(words, number, faults), state, faults)
+    _execute(sorted_block(words, number, faults), state)
     texts = [word.text for word in words]
     known = [fault for fault in faults if fault.word in texts]
     known.sort(key=lambda fault: texts.index(fault.word))
@@ -228,7 +228,7 @@ def _known(words: list[Word], number: int, state: State) -> list[Word]:
     return [word for word in words if word not in passed and word.letter not in own]
 
 
-def _execute(block: Block, state: State, faults: list[Fault]) -> None:
+def _execute(block: Block, state: State) -> None:
     """Carry out one block in the order of the standard."""
     codes = block.g
     if "refused" in codes:
@@ -238,7 +238,7 @@ def _execute(block: Block, state: State, faults: list[Fault]) -> None:
     for word in block.rotary:
         state.out.note(word.text, "the axis does not turn", block.line)
     if "F" in block.values or "feed mode" in codes:
-        set_feed(block, state, faults)
+        set_feed(block, state)
     if "D" in block.values:
         # Other controls keep it for the next G41 or G42.
         state.radius_number = block.number("D")
@@ -247,31 +247,31 @@ def _execute(block: Block, state: State, faults: list[Fault]) -> None:
         if state.is_surface_speed:
             state.spindle_rpm = 0.0
     if state.compensation is not None:
-        _check_compensated(block, state, faults)
+        _check_compensated(block, state)
     if block.m or "S" in block.values or "T" in block.values:
-        _set_tool(block, state, faults)
-        _set_speed(block, state, faults)
+        _set_tool(block, state)
+        _set_speed(block, state)
         _note_codes(block, block.m, "M", state)
     if codes:
-        _set_modes(block, state, faults)
+        _set_modes(block, state)
     if state.is_turned or "@" in block.values or "^" in block.values:
-        turn_words(block, state, faults)
+        turn_words(block, state)
     if codes.get("once") not in (None, 40, 530):
-        _once(block, state, faults)
+        _once(block, state)
     elif codes.get("tool length") != 431:
-        _move(block, state, faults)
+        _move(block, state)
     if len(block.used) < len(block.values):
-        _report_unused(block, state, faults)
+        _report_unused(block, state)
     state.is_ended = block.m.get("end") in (2, 30)
 
 
-def _set_modes(block: Block, state: State, faults: list[Fault]) -> None:
+def _set_modes(block: Block, state: State) -> None:
     """Apply the G codes of a block that move nothing themselves."""
     codes = block.g
     if codes.get("once") == 40:
         duration, text = block.number("P"), block.texts["once"]
         if duration is None:
-            faults.append(Fault(block.line, text, "a rest needs a P, its seconds."))
+            block.refuse(text, "a rest needs a P, its seconds.")
         else:
             (state.compensation or state.out).dwell(duration, block.line, text)
     if "plane" in codes:
@@ -280,8 +280,8 @@ def _set_modes(block: Block, state: State, faults: list[Fault]) -> None:
     if "units" in codes:
         state.scale = MM_PER_INCH if codes["units"] == 200 else 1.0
     if "cutter radius" in codes:
-        compensate_radius(block, state, faults)
-    compensate_length(block, state, faults)
+        compensate_radius(block, state)
+    compensate_length(block, state)
     choose_system(block, state)
     if "distance" in codes:
         state.is_incremental = codes["distance"] == 910
@@ -295,12 +295,12 @@ def _set_modes(block: Block, state: State, faults: list[Fault]) -> None:
     if "look-ahead" in codes and block.number("Q") != 0:
         message = "G5.1 is supported as G5.1 Q0, which ends the look-ahead; write a "
         message += "spline as arcs or lines."
-        faults.append(Fault(block.line, block.texts["look-ahead"], message, True))
+        block.refuse(block.texts["look-ahead"], message, True)
     if not CANCELLED.isdisjoint(codes):
-        set_turns(block, state, faults)
+        set_turns(block, state)
 
 
-def _check_compensated(block: Block, state: State, faults: list[Fault]) -> None:
+def _check_compensated(block: Block, state: State) -> None:
     """Report codes that cannot stand between G41 or G42 and G40."""
     codes = block.g
     groups = [group for group in _NOT_COMPENSATED if codes.get(group, 40) != 40]
@@ -310,10 +310,10 @@ def _check_compensated(block: Block, state: State, faults: list[Fault]) -> None:
         groups.append("motion")
     for group in groups:
         message = "it does not go with G41 and G42; needed is a G40 before."
-        faults.append(Fault(block.line, block.texts[group], message))
+        block.refuse(block.texts[group], message)
     if block.m.get("tool change") is not None:
         message = "a tool is changed behind G40, without a compensation of the radius."
-        faults.append(Fault(block.line, block.texts["tool change"], message))
+        block.refuse(block.texts["tool change"], message)
 
 
 def _note_codes(block: Block, codes: dict[str, int], letter: str, state: State) -> None:
@@ -326,13 +326,13 @@ def _note_codes(block: Block, codes: dict[str, int], letter: str, state: State) 
         state.out.note(f"{letter}{value:g}", sentence, block.line)
 
 
-def _set_tool(block: Block, state: State, faults: list[Fault]) -> None:
+def _set_tool(block: Block, state: State) -> None:
     """Apply T and M6."""
     number = block.number("T")
     if number is not None and not math.isnan(number):
         if number < 0 or abs(number - round(number)) > 1e-4:
             message = "a tool number is a whole number, not negative."
-            faults.append(Fault(block.line, block.values["T"].text, message))
+            block.refuse(block.values["T"].text, message)
         else:
             state.selected_tool = round(number)
             if state.out.tool is None and not state.out.moves:
@@ -341,7 +341,7 @@ def _set_tool(block: Block, state: State, faults: list[Fault]) -> None:
         number = block.number("Q")
         if number is None or number < 0 or number % 1:
             message = "M61 needs a Q, the number of the tool."
-            faults.append(Fault(block.line, block.texts["tool change"], message))
+            block.refuse(block.texts["tool change"], message)
         else:
             state.out.change_tool(int(number), block.line)
     elif "tool change" in block.m:
@@ -352,39 +352,39 @@ def _set_tool(block: Block, state: State, faults: list[Fault]) -> None:
             state.out.note(block.texts["tool change"], sentence, block.line)
 
 
-def _set_speed(block: Block, state: State, faults: list[Fault]) -> None:
+def _set_speed(block: Block, state: State) -> None:
     """Apply S."""
     number = block.number("S")
     if number is None:
         return
     if not 0 <= number <= LARGEST_SPEED_RPM and not math.isnan(number):
         message = f"a spindle speed lies between 0 and {LARGEST_SPEED_RPM:g} rpm."
-        faults.append(Fault(block.line, block.values["S"].text, message))
+        block.refuse(block.values["S"].text, message)
     if state.is_surface_speed:
         return
     state.spindle_rpm = number
     state.out.set_speed(number * 2 * math.pi / 60)
 
 
-def _once(block: Block, state: State, faults: list[Fault]) -> None:
+def _once(block: Block, state: State) -> None:
     """Carry out a code that holds for one block and takes its axis words."""
     code = block.g["once"]
     if code == 100:
-        set_data(block, state, faults)
+        set_data(block, state)
     elif code in (280, 300):
-        _return_home(block, state, faults)
+        _return_home(block, state)
     elif code in (281, 301):
-        require_place(AXES, block.texts["once"], block, state, faults)
+        require_place(AXES, block.texts["once"], block, state)
         x, y, z = state.position
-        z += _known_length(block, state, faults)
+        z += _known_length(block, state)
         state.references[code == 301] = x, y, z
     else:
-        offset_axes(block, state, faults)
+        offset_axes(block, state)
     if "motion" in block.g:
         _choose_motion(block.g["motion"], state)
 
 
-def _return_home(block: Block, state: State, faults: list[Fault]) -> None:
+def _return_home(block: Block, state: State) -> None:
     """Go to a reference point of the machine, through the point of the axis words."""
     is_second = block.g["once"] == 300
     reference = state.references[is_second]
@@ -393,7 +393,7 @@ def _return_home(block: Block, state: State, faults: list[Fault]) -> None:
         places = zip(zero, state.setup.reference_points[is_second], strict=True)
         reference = point_of(1e3 * (a + b) for a, b in places)
     axes = block.axes()
-    through = _end_point(block, state, faults)
+    through = _end_point(block, state)
     if state.length is None and ("Z" in axes or not axes):
         reference = None
     if reference is None:
@@ -408,7 +408,7 @@ def _return_home(block: Block, state: State, faults: list[Fault]) -> None:
             home[axis] = reference[axis]
             state.unknown.pop(letter, None)
     if "Z" in axes or not axes:
-        home[2] -= _known_length(block, state, faults)
+        home[2] -= _known_length(block, state)
     _go(block, state, through, Pace(), "")
     _go(block, state, point_of(home), Pace(), "".join(axes) or AXES)
 
@@ -440,19 +440,19 @@ def _leave(axes: str, block: Block, state: State) -> None:
     lose_place(axes, word, block, state)
 
 
-def _known_length(block: Block, state: State, faults: list[Fault]) -> float:
+def _known_length(block: Block, state: State) -> float:
     """Return the compensated tool length [mm]; that it is not known is a fault."""
     if state.length is None:
         message = (
             "a machine position needs the compensated length of the tool (in a job: "
             f"[program] tool_lengths; {state.length_word})."
         )
-        faults.append(Fault(block.line, block.texts["once"], message))
+        block.refuse(block.texts["once"], message)
         return 0.0
     return state.length
 
 
-def _move(block: Block, state: State, faults: list[Fault]) -> None:
+def _move(block: Block, state: State) -> None:
     """Carry out the motion of a block, if it has one."""
     values, axes = block.values, block.axes()
     motion = block.g.get("motion")
@@ -467,7 +467,7 @@ def _move(block: Block, state: State, faults: list[Fault]) -> None:
     if not axes and not _moves_without_axes(block, is_arc):
         if motion in CYCLES and "motion" in block.g:
             message = "a canned cycle needs an axis word."
-            faults.append(Fault(block.line, block.texts["motion"], message))
+            block.refuse(block.texts["motion"], message)
         return
     if block.is_g_refused or motion == -1:
         block.used.update(values)
@@ -477,15 +477,15 @@ def _move(block: Block, state: State, faults: list[Fault]) -> None:
             if block.g.get("motion") == 800:
                 message = "G80 moves nothing; needed is a G0, G1, G2 or G3 with it, or "
                 message += "a line of its own for the motion."
-            faults.append(Fault(block.line, values[axes[0]].text, message))
+            block.refuse(values[axes[0]].text, message)
             block.used.update(values)
         motion = -1
     if motion in CYCLES:
-        _cycle(block, state, faults)
+        _cycle(block, state)
         return
     is_machine = block.g.get("once") == 530
     if motion in (10, 20, 30) and (state.unknown or state.unknown_exits):
-        _require_way(block, state, faults)
+        _require_way(block, state)
     is_known = state.setup.machine_zero is not None
     is_known &= state.length is not None or "Z" not in axes
     if is_machine and motion == 0 and not is_known:
@@ -493,20 +493,16 @@ def _move(block: Block, state: State, faults: list[Fault]) -> None:
             block.used.update(axes)
             _leave("".join(axes), block, state)
             return
-    end = (
-        _machine_point(block, state, faults)
-        if is_machine
-        else _end_point(block, state, faults)
-    )
+    end = _machine_point(block, state) if is_machine else _end_point(block, state)
     if motion == -1 or block.is_g_refused:
         state.position = end
         return
     pace = Pace()
     if motion != 0:
-        pace = find_pace(block, state, faults)
+        pace = find_pace(block, state)
     axes_stated = "" if state.is_incremental and not is_machine else "".join(axes)
     if is_arc:
-        _arc(block, state, end, pace, faults)
+        _arc(block, state, end, pace)
         return
     _go(block, state, end, pace, axes_stated)
 
@@ -530,11 +526,11 @@ def _moves_without_axes(block: Block, is_arc: bool) -> bool:
     return is_arc and any(letter in block.values for letter in "IJKR")
 
 
-def _require_way(block: Block, state: State, faults: list[Fault]) -> None:
+def _require_way(block: Block, state: State) -> None:
     """Report a cut from a place that is not known, or behind a way that is not."""
-    require_place(AXES, motion_text(block), block, state, faults)
+    require_place(AXES, motion_text(block), block, state)
     if fault := state.unknown_exits.pop(state.out.tool, None):
-        faults.append(fault)
+        block.faults.append(fault)
 
 
 def _go(block: Block, state: State, end: Point, pace: Pace, axes: str) -> None:
@@ -556,10 +552,10 @@ def _go(block: Block, state: State, end: Point, pace: Pace, axes: str) -> None:
     )
 
 
-def _cycle(block: Block, state: State, faults: list[Fault]) -> None:
+def _cycle(block: Block, state: State) -> None:
     """Carry out a canned cycle."""
-    _require_way(block, state, faults)
-    pace = find_pace(block, state, faults) if state.feed_mode != 930 else Pace()
+    _require_way(block, state)
+    pace = find_pace(block, state) if state.feed_mode != 930 else Pace()
     axes = "" if state.is_incremental else "".join(block.axes())
 
     def go(point: list[float], is_rapid: bool) -> None:
@@ -577,33 +573,33 @@ def _cycle(block: Block, state: State, faults: list[Fault]) -> None:
         if block.number("L") not in (None, 1):
             message = "several holes of a polar step are not supported; write a line "
             message += "for each."
-            faults.append(Fault(block.line, block.values["L"].text, message))
+            block.refuse(block.values["L"].text, message)
             block.used.update(block.values)
             return
-    run_cycle(block, state, go, faults)
+    run_cycle(block, state, go)
 
 
-def _machine_point(block: Block, state: State, faults: list[Fault]) -> Point:
+def _machine_point(block: Block, state: State) -> Point:
     """End of a motion in machine coordinates (G53) [mm]."""
     text = block.texts["once"]
     if state.motion not in (0, 10) or state.is_incremental:
         message = "G53 needs G0 or G1, and G90."
-        faults.append(Fault(block.line, text, message))
-    zero = machine_zero(block, text, state, faults)
+        block.refuse(text, message)
+    zero = machine_zero(block, text, state)
     end = list(state.position)
     for axis, letter in enumerate(AXES):
         value = block.number(letter)
         if value is not None and zero is not None:
             end[axis] = zero[axis] + value * state.scale
             if axis == 2:
-                end[axis] -= _known_length(block, state, faults)
+                end[axis] -= _known_length(block, state)
     return point_of(end)
 
 
-def _end_point(block: Block, state: State, faults: list[Fault]) -> Point:
+def _end_point(block: Block, state: State) -> Point:
     """End of a motion in `work` [mm]."""
     x, y, z = state.position
-    shift = state.shift or find_shift(block, state, faults)
+    shift = state.shift or find_shift(block, state)
     end = [x, y, z]
     values, scale = block.values, state.scale
     for axis, letter in enumerate(AXES):
@@ -619,25 +615,23 @@ def _end_point(block: Block, state: State, faults: list[Fault]) -> Point:
             state.unknown.pop(letter, None)
         if abs(end[axis]) > FARTHEST * 1e3:
             message = f"a position is {FARTHEST:g} m at most."
-            faults.append(Fault(block.line, word.text, message))
+            block.refuse(word.text, message)
             end[axis] = math.nan
     return end[0], end[1], end[2]
 
 
-def _arc(
-    block: Block, state: State, end: Point, pace: Pace, faults: list[Fault]
-) -> None:
+def _arc(block: Block, state: State, end: Point, pace: Pace) -> None:
     """Make an arc or a helix in the working plane."""
     start, state.position = state.position, end
     turns = block.number("P")
     if turns is not None and not (turns >= 1 and turns % 1 == 0):
         message = "the number of turns P is a whole number from 1."
-        faults.append(Fault(block.line, block.values["P"].text, message))
+        block.refuse(block.values["P"].text, message)
         return
     sign = -1 if state.motion == 20 else 1
     for turn in state.turns.values():
         sign = -sign if turn.is_mirror else sign
-    centre = _centre(block, state, start, end, sign, faults)
+    centre = _centre(block, state, start, end, sign)
     if centre is None:
         return
     state.add(
@@ -661,7 +655,6 @@ def _centre(
     start: Point,
     end: Point,
     turn: int,
-    faults: list[Fault],
 ) -> Point | None:
     """Return the centre of an arc at its start's height [mm], or None with a fault."""
     values, scale = block.values, state.scale
@@ -691,7 +684,7 @@ def _centre(
     elif radius is None and state.is_centre_absolute and None in stated:
         message = "an absolute centre (G90.1) needs both of its words."
     if message:
-        faults.append(Fault(block.line, shown, message))
+        block.refuse(shown, message)
         return None
     # In the units of the program, because the tolerances are.
     begin, last = ((at[first] / scale, at[second] / scale) for at in (start, end))
@@ -701,7 +694,7 @@ def _centre(
         else:
             offset = stated[0] or 0.0, stated[1] or 0.0
             if state.is_centre_absolute:
-                shift = find_shift(block, state, faults)
+                shift = find_shift(block, state)
                 offset = (
                     offset[0] + shift[first] / scale - begin[0],
                     offset[1] + shift[second] / scale - begin[1],
@@ -710,20 +703,18 @@ def _centre(
     except ArcError as error:
         message = str(error)
         if radius is None:
-            message += _other_centre(block, state, begin, last, faults)
-        faults.append(Fault(block.line, shown, message))
+            message += _other_centre(block, state, begin, last)
+        block.refuse(shown, message)
         return None
     out = list(start)
     out[first], out[second] = centre[0] * scale, centre[1] * scale
     return point_of(out)
 
 
-def _other_centre(
-    block: Block, state: State, begin: Point2, last: Point2, faults: list[Fault]
-) -> str:
+def _other_centre(block: Block, state: State, begin: Point2, last: Point2) -> str:
     """Hint of a fault that the centre fits by G90.1 instead of G91.1, or vice versa."""
     first, second = (state.plane + 1) % 3, (state.plane + 2) % 3
-    shift = find_shift(block, state, faults)
+    shift = find_shift(block, state)
     words = [block.number(_CENTRE_WORDS[axis]) or 0.0 for axis in (first, second)]
     zero = shift[first] / state.scale - begin[0], shift[second] / state.scale - begin[1]
     offset = words[0], words[1]
@@ -739,7 +730,7 @@ def _other_centre(
     return f" {letters} fit as an absolute centre, which G90.1 says."
 
 
-def _report_unused(block: Block, state: State, faults: list[Fault]) -> None:
+def _report_unused(block: Block, state: State) -> None:
     """Report words that no code of the line makes use of."""
     if block.is_g_refused:
         return
@@ -754,4 +745,4 @@ def _report_unused(block: Block, state: State, faults: list[Fault]) -> None:
                 continue
         else:
             message = f"{letter} belongs to no code of its line."
-        faults.append(Fault(block.line, word.text, message))
+        block.refuse(word.text, message)

@@ -5,7 +5,6 @@ import dataclasses
 import math
 
 from ....toolpath import Point
-from ..faults import Fault
 from ..geometry import point_of
 from .blocks import Block
 from .compensation import CutterCompensation
@@ -31,11 +30,11 @@ def choose_system(block: Block, state: State) -> None:
         state.shift = None
 
 
-def offset_axes(block: Block, state: State, faults: list[Fault]) -> None:
+def offset_axes(block: Block, state: State) -> None:
     """Apply G92 and its followers, and G52, which states the same offset."""
     code = block.g["once"]
     if code == 920:
-        _state_position(block, state, faults)
+        _state_position(block, state)
         return
     if code == 923:
         state.own_offset = state.stored_offset
@@ -53,15 +52,15 @@ def offset_axes(block: Block, state: State, faults: list[Fault]) -> None:
     state.shift = None
 
 
-def _state_position(block: Block, state: State, faults: list[Fault]) -> None:
+def _state_position(block: Block, state: State) -> None:
     """Apply G92: the tool is where the words say."""
     axes = block.axes()
     if not axes:
         message = "G92 needs X, Y or Z."
-        faults.append(Fault(block.line, block.texts["once"], message))
+        block.refuse(block.texts["once"], message)
     if state.out.moves:
-        require_place("".join(axes), block.texts["once"], block, state, faults)
-    shift = list(find_shift(block, state, faults))
+        require_place("".join(axes), block.texts["once"], block, state)
+    shift = list(find_shift(block, state))
     position = list(state.position)
     for letter in axes:
         axis = AXES.index(letter)
@@ -73,14 +72,14 @@ def _state_position(block: Block, state: State, faults: list[Fault]) -> None:
             state.unknown.pop(letter, None)
         else:
             shift[axis] = position[axis] - stated
-    zero = find_zero(state.system, block, state, faults)
+    zero = find_zero(state.system, block, state)
     state.position = point_of(position)
     state.own_offset = point_of(a - b for a, b in zip(shift, zero, strict=True))
     state.stored_offset = state.own_offset
     state.shift = None
 
 
-def set_data(block: Block, state: State, faults: list[Fault]) -> None:
+def set_data(block: Block, state: State) -> None:
     """Apply G10 L2 and L20: the zero of a system."""
     kind, number = block.number("L"), block.number("P")
     text = block.texts["once"]
@@ -92,17 +91,17 @@ def set_data(block: Block, state: State, faults: list[Fault]) -> None:
             "G10 is supported as L2 or L20 without a rotation R, as L1 with Z and R, "
         )
         message += "and as L10 and L12 of Fanuc with R."
-        faults.append(Fault(block.line, text, message, True))
+        block.refuse(text, message, True)
         return
     if number is None or number not in range(len(_SYSTEMS) + 1):
         message = f"G10 needs a P from 0 to {len(_SYSTEMS)}."
-        faults.append(Fault(block.line, text, message))
+        block.refuse(text, message)
         return
     name = _SYSTEMS[int(number) - 1] if number else state.system
     if kind == 2 and state.setup.machine_zero is None:
         if _set_machine_place(name, block, state):
             return
-    zero = _stated_zero(block, kind, name, state, faults)
+    zero = _stated_zero(block, kind, name, state)
     if zero is not None:
         state.zeros[name] = zero
         state.shift = None
@@ -153,20 +152,18 @@ def _set_tool_data(kind: float | None, number: int, block: Block, state: State) 
     return True
 
 
-def _stated_zero(
-    block: Block, kind: float, name: str, state: State, faults: list[Fault]
-) -> Point | None:
+def _stated_zero(block: Block, kind: float, name: str, state: State) -> Point | None:
     """Return the zero of a system that G10 states [mm], or None with a fault."""
     machine = (0.0, 0.0, 0.0)
     if kind == 2:
-        machine = machine_zero(block, block.texts["once"], state, faults)
+        machine = machine_zero(block, block.texts["once"], state)
         if machine is None:
             return None
     else:
         axes = "".join(block.axes())
-        require_place(axes, block.texts["once"], block, state, faults)
+        require_place(axes, block.texts["once"], block, state)
     whole = len(block.axes()) == 3
-    zero = [0.0] * 3 if whole else list(find_zero(name, block, state, faults))
+    zero = [0.0] * 3 if whole else list(find_zero(name, block, state))
     for letter in block.axes():
         axis = AXES.index(letter)
         value = (block.number(letter) or 0.0) * state.scale
@@ -177,7 +174,7 @@ def _stated_zero(
     return point_of(zero)
 
 
-def compensate_length(block: Block, state: State, faults: list[Fault]) -> None:
+def compensate_length(block: Block, state: State) -> None:
     """Apply G43 and G49: the tip is where the program says by another length."""
     code = block.g.get("tool length")
     if code is None:
@@ -188,7 +185,7 @@ def compensate_length(block: Block, state: State, faults: list[Fault]) -> None:
         given = block.number("Z")
         if any(block.number(letter) for letter in "XY") or given is None:
             message = "G43.1 needs Z, the length of the tool, and no X or Y but 0."
-            faults.append(Fault(block.line, text, message))
+            block.refuse(text, message)
             return
         length = given * state.scale
         word = f"G43.1 Z{length:g} mm"
@@ -199,7 +196,7 @@ def compensate_length(block: Block, state: State, faults: list[Fault]) -> None:
         number = state.out.tool if given is None else round(given)
         if number is None:
             message = "G43 needs an H, or a tool before it."
-            faults.append(Fault(block.line, text, message))
+            block.refuse(text, message)
             return
         word = f"H{number}"
         length = _length_of(number, block, state)
@@ -234,7 +231,7 @@ def _length_of(number: int, block: Block, state: State) -> float | None:
     return None
 
 
-def compensate_radius(block: Block, state: State, faults: list[Fault]) -> None:
+def compensate_radius(block: Block, state: State) -> None:
     """Apply G40 to G42.1: the tool runs beside the programmed path."""
     code, text = block.g["cutter radius"], block.texts["cutter radius"]
     if code == 400:
@@ -247,7 +244,7 @@ def compensate_radius(block: Block, state: State, faults: list[Fault]) -> None:
         message = "it is on already; needed is a G40 before."
         if state.plane == 0:
             message = "the radius is compensated in the XY plane or the XZ plane."
-        faults.append(Fault(block.line, text, message))
+        block.refuse(text, message)
         return
     number, radius = state.radius_number, None
     if number is not None and math.isnan(number):
@@ -262,7 +259,7 @@ def compensate_radius(block: Block, state: State, faults: list[Fault]) -> None:
             "the radius of the cutter is not known; needed is that of its D (in a "
         )
         message += "job: [program] tool_radii), or of the tool."
-        faults.append(Fault(block.line, text, message))
+        block.refuse(text, message)
         return
     side = 1 if code in (410, 411) else -1
     side = side if radius >= 0 else -side
@@ -294,7 +291,7 @@ def _radius_of(tool: int | None, text: str, block: Block, state: State) -> float
     return setup.radius
 
 
-def set_turns(block: Block, state: State, faults: list[Fault]) -> None:
+def set_turns(block: Block, state: State) -> None:
     """Apply G15, G16, G50, G50.1, G51, G51.1, G68 and G69."""
     codes = block.g
     for group in ("rotation", "scaling", "mirror image"):
@@ -310,7 +307,7 @@ def set_turns(block: Block, state: State, faults: list[Fault]) -> None:
                 block.drop("XYZ")
             elif words and codes[group] == 500 and "motion" not in codes:
                 message = "it is supported without X, Y, Z and S, as an end."
-                faults.append(Fault(block.line, text, message, True))
+                block.refuse(text, message, True)
             continue
         turn, message = _turn_of(codes[group], block, state)
         block.drop("XYRP")
@@ -320,7 +317,7 @@ def set_turns(block: Block, state: State, faults: list[Fault]) -> None:
             state.turns[group] = turn
             state.out.note(text, "is carried out about its X and Y", block.line)
         else:
-            faults.append(Fault(block.line, text, message))
+            block.refuse(text, message)
     state.is_turned = state.is_polar or bool(state.turns)
     if "polar coordinates" in codes:
         if not state.is_polar and codes["polar coordinates"] == 150:
@@ -331,7 +328,7 @@ def set_turns(block: Block, state: State, faults: list[Fault]) -> None:
             return
         if state.plane != 2 or state.is_incremental:
             message = "G16 needs the XY plane and G90."
-            faults.append(Fault(block.line, block.texts["polar coordinates"], message))
+            block.refuse(block.texts["polar coordinates"], message)
 
 
 def _turn_of(code: int, block: Block, state: State) -> tuple[Turn | None, str]:
@@ -360,7 +357,7 @@ def _turn_of(code: int, block: Block, state: State) -> tuple[Turn | None, str]:
     return Turn(complex(x, y), factor), ""
 
 
-def turn_words(block: Block, state: State, faults: list[Fault]) -> None:
+def turn_words(block: Block, state: State) -> None:
     """Put plain X and Y, I and J in the place of words that are polar or turned."""
     values, scale = block.values, state.scale
     is_arc = block.g.get("motion", state.motion) in (20, 30)
@@ -368,10 +365,10 @@ def turn_words(block: Block, state: State, faults: list[Fault]) -> None:
     if {"system", "once"} & set(block.g) and block.g.get("once") not in (40, 530):
         text = block.texts["system" if "system" in block.g else "once"]
         message = "it does not go with G16, G51, G51.1 or G68, or with @ and ^."
-        faults.append(Fault(block.line, text, message))
+        block.refuse(text, message)
     if not words or "once" in block.g:
         return
-    shift = find_shift(block, state, faults)
+    shift = find_shift(block, state)
     at = complex(state.position[0] - shift[0], state.position[1] - shift[1]) / scale
     before = at
     for turn in reversed(state.turns.values()):
@@ -381,9 +378,7 @@ def turn_words(block: Block, state: State, faults: list[Fault]) -> None:
     is_polar = radius is not None or angle is not None
     if is_polar and not (x is None and y is None):
         message = "a polar place (@ and ^) has no X or Y."
-        faults.append(
-            Fault(block.line, values["@" if "@" in values else "^"].text, message)
-        )
+        block.refuse(values["@" if "@" in values else "^"].text, message)
     if state.is_polar and not is_polar:
         radius, angle, is_polar = x, y, not (x is None and y is None)
     if is_polar:
@@ -407,9 +402,7 @@ def turn_words(block: Block, state: State, faults: list[Fault]) -> None:
         way = turn.place(way) if is_centre else turn.direction(way)
         length = None if length is None else length * abs(turn.factor)
     if {*"XY@^"} & words:
-        require_place(
-            "XY" if len({"X", "Y"} & words) < 2 else "", "", block, state, faults
-        )
+        require_place("XY" if len({"X", "Y"} & words) < 2 else "", "", block, state)
         made = place - at if state.is_incremental else place
         text = values[min({*"XY@^"} & words)].text
         block.put("X", made.real, text)

@@ -2,7 +2,6 @@
 
 from typing import NamedTuple
 
-from ..faults import Fault
 from ..limits import LARGEST_FEED, SHORTEST_DURATION
 from .blocks import Block
 from .state import State
@@ -15,7 +14,7 @@ class Pace(NamedTuple):
     duration: float | None = None
 
 
-def set_feed(block: Block, state: State, faults: list[Fault]) -> None:
+def set_feed(block: Block, state: State) -> None:
     """Apply G93, G94, G95 and F."""
     mode = block.g.get("feed mode")
     if mode is not None:
@@ -28,7 +27,7 @@ def set_feed(block: Block, state: State, faults: list[Fault]) -> None:
         return
     block.used.add("F")
     if word.number < 0:
-        faults.append(Fault(block.line, word.text, "a feed must be positive."))
+        block.refuse(word.text, "a feed must be positive.")
         state.feed = float("nan")
     elif state.feed_mode != 930:
         # The standard executes F before G20 and G21: a change of units in the same
@@ -36,51 +35,51 @@ def set_feed(block: Block, state: State, faults: list[Fault]) -> None:
         feed = word.number * state.scale
         if feed > LARGEST_FEED * 6e4:
             message = f"a feed is {LARGEST_FEED * 6e4:g} mm/min at most."
-            faults.append(Fault(block.line, word.text, message))
+            block.refuse(word.text, message)
             feed = float("nan")
         state.feed = feed / 60 if state.feed_mode == 940 else feed
 
 
-def find_pace(block: Block, state: State, faults: list[Fault]) -> Pace:
+def find_pace(block: Block, state: State) -> Pace:
     """Return the pace of a feed motion."""
     if state.feed_mode == 930:
-        return _inverse_time(block, faults)
+        return _inverse_time(block)
     word = block.values.get("F")
     if state.feed is None and state.setup.feed is not None:
         return Pace(state.setup.feed)
     if state.feed is None:
         message = "there is no feed; needed is an F above 0 in this line or before it"
         message += " (after any G94 or G95), or a feed for the whole program."
-        faults.append(Fault(block.line, motion_text(block), message))
+        block.refuse(motion_text(block), message)
         # Of the moves behind it nobody needs to be told the same.
         state.feed = float("nan")
         return Pace()
     if state.feed == 0:
         message = "the feed is 0; needed is an F above 0."
         shown = motion_text(block) if word is None else word.text
-        faults.append(Fault(block.line, shown, message))
+        block.refuse(shown, message)
         return Pace()
     if state.feed_mode == 940:
         return Pace(state.feed * 1e-3)
     if state.spindle_rpm == 0:
         message = "a feed per revolution (G95) needs an S above 0 before it."
-        faults.append(Fault(block.line, motion_text(block), message))
+        block.refuse(motion_text(block), message)
         return Pace()
     return Pace(state.feed * 1e-3 * state.spindle_rpm / 60)
 
 
-def _inverse_time(block: Block, faults: list[Fault]) -> Pace:
+def _inverse_time(block: Block) -> Pace:
     """Return the duration of a motion in inverse time."""
     word = block.values.get("F")
     if word is None or word.number == 0:
         message = "a motion in inverse time (G93) needs an F above 0 in its line."
         shown = motion_text(block) if word is None else word.text
-        faults.append(Fault(block.line, shown, message))
+        block.refuse(shown, message)
         return Pace()
     duration = 60 / word.number
     if 0 < duration < SHORTEST_DURATION:
         message = f"a move lasts at least {SHORTEST_DURATION:g} s (F is 60 s / t)."
-        faults.append(Fault(block.line, word.text, message))
+        block.refuse(word.text, message)
         return Pace()
     return Pace(duration=duration)
 

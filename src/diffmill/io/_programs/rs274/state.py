@@ -163,16 +163,16 @@ def new_state(setup: ProgramSetup) -> State:
     return State(setup, zeros=zeros)
 
 
-def find_shift(block: Block, state: State, faults: list[Fault]) -> Point:
+def find_shift(block: Block, state: State) -> Point:
     """Return the way from program coordinates to `work` [mm]."""
     if state.shift is not None:
         return state.shift
-    zero = find_zero(state.system, block, state, faults)
+    zero = find_zero(state.system, block, state)
     state.shift = point_of(a + b for a, b in zip(zero, state.own_offset, strict=True))
     return state.shift
 
 
-def find_zero(name: str, block: Block, state: State, faults: list[Fault]) -> Point:
+def find_zero(name: str, block: Block, state: State) -> Point:
     """Return the zero of a system in `work` [mm]; the first one used is `work`."""
     places = state.machine_places
     if name not in state.zeros:
@@ -186,7 +186,7 @@ def find_zero(name: str, block: Block, state: State, faults: list[Fault]) -> Poi
                 f"where {name} lies is not known; needed is its zero in `work` "
                 f'(in a job: [program] offsets = {{ {name} = ["0 mm", ...] }}).'
             )
-            faults.append(Fault(block.line, block.texts.get("system", ""), message))
+            block.refuse(block.texts.get("system", ""), message)
         state.zeros[name] = (0.0, 0.0, 0.0)
     return state.zeros[name]
 
@@ -197,9 +197,7 @@ def lose_place(axes: str, word: str, block: Block, state: State) -> None:
     state.out.lose(axes, block.line)
 
 
-def require_place(
-    axes: str, word: str, block: Block, state: State, faults: list[Fault]
-) -> None:
+def require_place(axes: str, word: str, block: Block, state: State) -> None:
     """Report a code that needs to know where the tool is along some axes."""
     lost = [axis for axis in axes if axis in state.unknown]
     if not lost:
@@ -210,16 +208,14 @@ def require_place(
         f"where the tool is in {names} is not known after {cause}; needed is {names} "
         f"in a G0 before (or, in a job, [program] {key})."
     )
-    faults.append(Fault(block.line, word, message))
+    block.refuse(word, message)
     state.unknown.clear()
 
 
-def machine_zero(
-    block: Block, word: str, state: State, faults: list[Fault]
-) -> Point | None:
+def machine_zero(block: Block, word: str, state: State) -> Point | None:
     """Return the zero of the machine in `work` [mm], or None with a fault."""
     if state.setup.machine_zero is None:
-        faults.append(Fault(block.line, word, NO_MACHINE_ZERO))
+        block.refuse(word, NO_MACHINE_ZERO)
         return None
     return point_of(1e3 * value for value in state.setup.machine_zero)
 
