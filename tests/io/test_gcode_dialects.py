@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 
+from diffmill.config import program_setup
 from diffmill.io import ProgramError, ProgramSetup, parse_gcode, read_program
 from diffmill.toolpath import sample_program
 
@@ -257,6 +258,32 @@ def test_a_centre_of_the_other_kind_is_named(text, part):
     with pytest.raises(ProgramError) as caught:
         parse_gcode(text)
     assert part in caught.value.faults[0].message
+
+
+def test_centres_are_absolute_where_a_job_says_so():
+    # A quarter about (0, 5) of radius 10, half way at 45 degrees; then, by G91.1, one
+    # that states the way from its start.
+    text = "G0 X10 Y5 F60\nG3 X0 Y15 I0 J5\nG91.1 G3 X-10 Y5 I0 J-10"
+    setup = program_setup(['arc_centres = "absolute"'])
+    _, first, second = parse_gcode(text, setup=setup).moves
+    for move, x in ((first, 7.0710678), (second, -7.0710678)):
+        assert move.centre == pytest.approx((0, 5 * MM, 0))
+        half = move.points_at(np.array([0.5]))[0] / MM
+        assert half == pytest.approx((x, 12.0710678, 0), abs=1e-6)
+    # In G18 with the zero of G54 at (100, 0, 0): K is absolute, too.
+    text = "G18 G0 X10 Z5 F60\nG2 X0 Z15 I0 K5"
+    offsets = {"G54": (0.1, 0.0, 0.0)}
+    setup = ProgramSetup(arc_centres="absolute", offsets=offsets)
+    arc = parse_gcode(text, setup=setup).moves[-1]
+    assert arc.centre == pytest.approx((100 * MM, 0, 5 * MM))
+
+
+def test_a_refused_centre_names_the_key():
+    with pytest.raises(ProgramError, match=r'arc_centres = "absolute"'):
+        parse_gcode("G0 X10 Y5\nG3 X0 Y15 I0 J5 F60")
+    setup = ProgramSetup(arc_centres="absolute")
+    with pytest.raises(ProgramError, match=r'arc_centres = "relative"'):
+        parse_gcode("G0 X10 Y5\nG3 X0 Y15 I-10 J0 F60", setup=setup)
 
 
 def test_a_centre_that_fits_in_no_way_is_not_named():

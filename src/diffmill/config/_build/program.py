@@ -59,6 +59,7 @@ _OF_SETUP = (
     "tool_lengths",
     "tool_radii",
     "dialect",
+    "arc_centres",
     "machine_zero",
     "reference_point",
     "second_reference_point",
@@ -314,6 +315,7 @@ def _setup(table: ProgramTable, cutter: CutterTable | None = None) -> ProgramSet
         tool_radii=table.tool_radii,
         radius=None if cutter is None else cutter.diameter / 2,
         dialect=table.dialect,
+        arc_centres=table.arc_centres,
         machine_zero=None if zero is None else _point(zero),
         reference_points=(
             _point(table.reference_point),

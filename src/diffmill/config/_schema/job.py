@@ -177,6 +177,11 @@ class ProgramTable(TomlTable):
         description="whose parameters, loops and calls G-code has; if left out "
         "Fanuc's where the program has words that LinuxCNC does not know",
     )
+    arc_centres: Literal["relative", "absolute"] = Field(
+        default="relative",
+        description="whether I, J and K of arcs are measured from the start of the arc "
+        "or are the place of its centre, until the program has G90.1 or G91.1",
+    )
     machine_zero: Lengths3 | None = Field(
         default=None,
         description="zero of the machine in work, such as "

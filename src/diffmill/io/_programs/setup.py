@@ -26,6 +26,8 @@ class ProgramSetup:
         radius: Radius of a D that `tool_radii` leaves out [m], or None.
         dialect: Whose parameters, loops and calls G-code has; None for Fanuc's where
             the program has words that LinuxCNC does not know, else LinuxCNC's.
+        arc_centres: Whether I, J and K of arcs are measured from the start of the arc,
+            or are the place of its centre, until G-code has G90.1 or G91.1.
         tool_axis: Axis of the tool that points from the shank to the tip, for programs
             of robots, "z" if None; for a path "z" if its i, j, k do, else "-z".
         pass_over: Routines of robots' programs and M codes that move nothing.
@@ -40,5 +42,6 @@ class ProgramSetup:
     tool_radii: Mapping[int, float] = dataclasses.field(default_factory=dict)
     radius: float | None = None
     dialect: Literal["linuxcnc", "fanuc"] | None = None
+    arc_centres: Literal["relative", "absolute"] = "relative"
     tool_axis: ToolAxis | None = None
     pass_over: tuple[str, ...] = ()

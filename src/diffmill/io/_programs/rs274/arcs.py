@@ -51,7 +51,7 @@ def centre_from_offset(
         raise ArcError(
             f"the radius is {first:.6g} at the start of the arc, but {last:.6g} at its "
             f"end; allowed is a difference of {tolerance.spiral:.3g} or "
-            f"{_SPIRAL_RELATIVE:.1%}. I and J are measured from the start of the arc."
+            f"{_SPIRAL_RELATIVE:.1%}."
         )
     return centre
 

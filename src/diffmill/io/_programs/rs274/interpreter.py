@@ -712,22 +712,25 @@ def _centre(
 
 
 def _other_centre(block: Block, state: State, begin: Point2, last: Point2) -> str:
-    """Hint of a fault that the centre fits by G90.1 instead of G91.1, or vice versa."""
+    """Hint of a fault: what the centre counts from, or that it fits the other way."""
     first, second = (state.plane + 1) % 3, (state.plane + 2) % 3
     shift = find_shift(block, state)
     words = [block.number(_CENTRE_WORDS[axis]) or 0.0 for axis in (first, second)]
     zero = shift[first] / state.scale - begin[0], shift[second] / state.scale - begin[1]
+    letters = " and ".join(sorted(_CENTRE_WORDS[axis] for axis in (first, second)))
     offset = words[0], words[1]
     if not state.is_centre_absolute:
         offset = words[0] + zero[0], words[1] + zero[1]
     try:
         centre_from_offset(begin, last, offset, state.arc_tolerance)
     except ArcError:
-        return ""
-    letters = " and ".join(sorted(_CENTRE_WORDS[axis] for axis in (first, second)))
+        measured = "the place of its centre" if state.is_centre_absolute else ""
+        return f" {letters} are {measured or 'measured from the start of the arc'}."
     if state.is_centre_absolute:
-        return f" {letters} fit as measured from its start, which G91.1 says."
-    return f" {letters} fit as an absolute centre, which G90.1 says."
+        say, key = "as measured from its start, which G91.1 says", "relative"
+    else:
+        say, key = "as an absolute centre, which G90.1 says", "absolute"
+    return f' {letters} fit {say} (in a job: [program] arc_centres = "{key}").'
 
 
 def _report_unused(block: Block, state: State) -> None:

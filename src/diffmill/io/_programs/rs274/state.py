@@ -160,7 +160,7 @@ def new_state(setup: ProgramSetup) -> State:
     zeros = {
         name: (1e3 * x, 1e3 * y, 1e3 * z) for name, (x, y, z) in setup.offsets.items()
     }
-    return State(setup, zeros=zeros)
+    return State(setup, zeros=zeros, is_centre_absolute=setup.arc_centres == "absolute")
 
 
 def find_shift(block: Block, state: State) -> Point:
