@@ -58,6 +58,7 @@ def read(tmp_path):
         ("time_s,x_mm,y_mm,z_mm", 1.0, 1e-3),
         ("time_ms,x_m,y_m,z_m", 1e-3, 1.0),
         ("time_min,x_in,y_in,z_in", 60.0, 0.0254),
+        ("Time [ms],X [ft],Y [ft],Z [ft]", 1e-3, 0.3048),
         ("Time_s, X_um, Y_um, Z_um", 1.0, 1e-6),
     ],
 )
@@ -65,7 +66,8 @@ def read(tmp_path):
 def test_units_of_the_header(read, header, time_scale, length_scale, delimiter):
     text = f"{header}\r\n1,2,3,4\r\n\r\n2.5,-1,+.5,1e2\r\n".replace(",", delimiter)
     path = read(text)
-    np.testing.assert_allclose(path.time, time_scale * np.array([1, 2.5]))
+    begin = 1 if "[" in header else 0
+    np.testing.assert_allclose(path.time, time_scale * (np.array([1, 2.5]) - begin))
     expected = length_scale * np.array([[2, 3, 4], [-1, 0.5, 100]])
     np.testing.assert_allclose(path.positions, expected)
     np.testing.assert_array_equal(path.axes, [[0, 0, 1]] * 2)
@@ -92,7 +94,7 @@ HEADER = "time_s,x_mm,y_mm,z_mm"
         (HEADER, ["0 rows", "needed are 2"]),
         (f"{HEADER}\n0,0,0,0\n", ["1 rows"]),
         ("time_s,x_mm,y_mm\n0,0,0\n1,0,0\n", ["line 1", "no column for z"]),
-        ("time_s,x_mm,y_mm,z_ft\n0,0,0,0\n", ["column 4", "`z_ft`", "z_mm"]),
+        ("time_s,x_mm,y_mm,z_deg\n0,0,0,0\n", ["column 4", "`z_deg`", "z_mm"]),
         ("time_s,x_mm,y_mm,z\n0,0,0,0\n", ["column 4", "`z`", "z_mm"]),
         (f"{HEADER},u_mm\n0,0,0,0,0\n", ["column 5", "`u_mm`"]),
         (f"{HEADER},x_m\n0,0,0,0,0\n", ["column 5", "only one column of x"]),
@@ -184,10 +186,36 @@ def test_a_row_that_is_written_twice_is_left_out(read):
         ("Time [s];X [mm];Y [mm]\n0;1;2\n1;2;3\n2;3;4\n", "x, y"),
         ("no table\nat all\n", "no table"),
         (f"{T}\tA [deg]\n" + "0\t1\t2\t3\t4\n4\t1\t2\t3\t4\n" * 2, "all of A, B, C"),
-        (f"{T}\n" + "".join(f"{k}\t1\t2\t3\n" for k in (9, 8, 7, 6)), "in order"),
+        (f"{T}\n" + "".join(f"{k}\t1\t2\t3\n" for k in (9, 8, 7, 6)), "must increase"),
+        (f"{T}\n0\t1\t2\t3\n4\t1\t\t3\n8\t1\t2\t3\n", "line 3, column 3 .Y.: found ``"),
+        (f"{T}\n0\t1\t2\t3\n4\t1\t2\n8\t1\t2\t3\n", "line 3: found 3 values"),
+        (f"{T}\n0\t1\t2\t3\n4\t1\t2\t3\nThe end\n", "line 4: found 1 values"),
+        (f"{T}\n0\t1\t2\t3\n0\t1\t2\t4\n4\t1\t2\t3\n", "line 3.*must increase"),
+        (f"{T}\tX [in]\n" + "0\t1\t2\t3\t4\n4\t1\t2\t3\t4\n", "one column of x"),
+        (
+            f"{T}\tq1\tq2\tq3\tq4\n0\t1\t2\t3\t0\t1\t0\t0\n4\t1\t2\t3\t0\t0\t0\t0\n",
+            "line 3: the quaternion has no length",
+        ),
         (f"{T}\n0\t1e9\t2\t3\n4\t1\t2\t3\n8\t1\t2\t3\n", "from zero"),
     ],
 )
 def test_tables_that_leave_something_open_are_refused(read, text, part):
     with pytest.raises(ProgramError, match=part):
         read(text)
+
+
+def test_further_columns_of_a_recorder_are_left_out(read):
+    rows = "0\t1\t2\t3\tcut\t7\n4\t1\t2\t4\tcut\t\n"
+    path = read(f"Log of 3 May\n{T}\tstate\tcurrent [A]\n{rows}")
+    np.testing.assert_allclose(path.positions, 1e-3 * np.array([[1, 2, 3], [1, 2, 4]]))
+    np.testing.assert_array_equal(path.line, [3, 4])
+
+
+def test_names_in_a_comment_and_angles_of_a_tool(read):
+    # As NumPy writes a header; B turns the shank, which points up, to +x.
+    path = read(
+        "# time_s x_mm y_mm z_mm a_deg b_deg c_deg\n0 1 2 3 0 90 180\n"
+        + "1 1 2 4 0 0 180\n"
+    )
+    np.testing.assert_allclose(path.axes, [[1, 0, 0], [0, 0, 1]], atol=1e-12)
+    np.testing.assert_array_equal(path.line, [2, 3])

@@ -137,7 +137,7 @@ class TableReader:
             if label is None or isinstance(label, str | int):
                 return self._named(key, label)
             return self._sum(quantity, label)
-        hits = [c for c in self.table.columns if _is_named(c, quantity)]
+        hits = self.named(quantity)
         is_whole = bool(hits) or not quantity.loose
         if not is_whole:
             hits = [
@@ -145,9 +145,7 @@ class TableReader:
                 for c in self.table.columns
                 if re.search(quantity.loose, c.name, re.IGNORECASE)
             ]
-        if len(hits) > 1:
-            # `fz_mm` beside `Fz_N`: the unit tells which of them is meant.
-            hits = [c for c in hits if self._suits(quantity, c)] or hits
+            hits = self._suited(quantity, hits)
         if len(hits) > 1:
             self.faults.append(
                 f"found {len(hits)} columns that may be {key} ({self.listed(hits)}); "
@@ -158,6 +156,18 @@ class TableReader:
         if not is_whole:
             self.notes.append(f"The column `{hits[0].name}` was taken for {key}.")
         return hits[0]
+
+    def named(self, quantity: Quantity) -> list[Column]:
+        """Return the columns with the name of a quantity and, of several, its unit."""
+        hits = [c for c in self.table.columns if _is_named(c, quantity)]
+        return self._suited(quantity, hits)
+
+    def _suited(self, quantity: Quantity, hits: list[Column]) -> list[Column]:
+        """Return those of several columns whose unit suits a quantity, if any does."""
+        if len(hits) < 2:
+            return hits
+        # `fz_mm` beside `Fz_N`: the unit tells which of them is meant.
+        return [c for c in hits if self._suits(quantity, c)] or hits
 
     def in_si(
         self, quantity: Quantity, column: Column

@@ -52,11 +52,15 @@ class Table(NamedTuple):
         columns: The columns, in the order of the file.
         rate: Sampling rate that the header gives [Hz], or None.
         notes: What was left out while reading, one sentence each.
+        header: Line of the names, from 1; 0 where it is not known.
+        lines: Lines of the rows, from 1; empty where they are not known.
     """
 
     columns: list[Column]
     rate: float | None = None
     notes: tuple[str, ...] = ()
+    header: int = 0
+    lines: tuple[int, ...] = ()
 
 
 # Longer texts are no names and say no rate; on them the patterns below would look for

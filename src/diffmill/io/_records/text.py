@@ -1,13 +1,15 @@
 """Measured records as text: tables of numbers below headers of any length."""
 
 import codecs
+import functools
 import io
+import itertools
 import pathlib
 
 import numpy as np
 from jaxtyping import Float
 
-from .table import Column, RecordError, Table, header_rate
+from .table import Column, Label, RecordError, Table, header_rate
 from .text_layout import (
     Layout,
     cells_of,
@@ -23,6 +25,13 @@ _BLOCK_BYTES = 1 << 24
 # Blocks with odd lines are halved down to this size.
 _SLOW_BYTES = 1 << 16
 _MOST_COLUMNS = 1000
+# Of a table of which every row counts: comments above it in which names are looked
+# for, and rows that decide on its layout.
+_COMMENTS_ABOVE, _HEAD_ROWS = 20, 5000
+_NEEDED = (
+    "needed are 2 rows or more of at least two columns, separated by tabs, semicolons, "
+    "commas, bars or blanks."
+)
 
 
 def read_text(path: pathlib.Path) -> Table:
@@ -45,19 +54,8 @@ def read_text(path: pathlib.Path) -> Table:
         lines = [line.rstrip("\r") for line in lines]
         layout = layout_of(lines)
         if layout is None:
-            raise RecordError(
-                str(path),
-                [
-                    "found no table of numbers; needed are rows of at least two "
-                    "columns, separated by tabs, semicolons, commas, bars or blanks."
-                ],
-            )
-        if layout.width > _MOST_COLUMNS:
-            fault = f"found {layout.width} columns; at most {_MOST_COLUMNS} are read."
-            raise RecordError(str(path), [fault])
-        labels, end = header_of(lines, layout)
-        if not end and (fault := fault_of_header(lines, layout)):
-            raise RecordError(str(path), [fault])
+            raise RecordError(str(path), [f"found no table of numbers; {_NEEDED}"])
+        labels = _labels_of(lines, layout, str(path))
         # Odd rows may stand between the names and the longest run of good rows.
         start, unread_count = first_block(lines, layout)
         stream.seek(sum(len(line) + 1 for line in head.split(b"\n")[:start]))
@@ -78,6 +76,121 @@ def read_text(path: pathlib.Path) -> Table:
         for place, label in enumerate(labels)
     ]
     return Table(columns, header_rate(lines[:start]), notes=tuple(notes))
+
+
+def _labels_of(lines: list[str], layout: Layout, name: str) -> list[Label]:
+    """Labels of the columns of a table.
+
+    Raises:
+        RecordError: If there are too many, or rows that do not suit them.
+    """
+    if layout.width > _MOST_COLUMNS:
+        fault = f"found {layout.width} columns; at most {_MOST_COLUMNS} are read."
+        raise RecordError(name, [fault])
+    labels, end = header_of(lines, layout)
+    if not end and (fault := fault_of_header(lines, layout)):
+        raise RecordError(name, [fault])
+    return labels
+
+
+def strict_table(text: str, name: str, faults: list[str]) -> Table:
+    """Return the columns of a text of which no row and no cell is left out.
+
+    Empty lines, and comments behind a #, are no rows.
+
+    Args:
+        text: The text of the file.
+        name: What messages call it.
+        faults: Receives the lines that are no rows and, as soon as the values of a
+            column are taken, its cells that are no numbers.
+
+    Raises:
+        RecordError: If no table with a header is in it.
+    """
+    filled = [(n, row) for n, row in enumerate(text.splitlines(), 1) if row.strip()]
+    is_row = [not row.lstrip().startswith("#") for _, row in filled]
+    first = is_row.index(True) if True in is_row else len(filled)
+    # The names may be in a comment above the rows.
+    above = filled[max(first - _COMMENTS_ABOVE, 0) : first]
+    rows = [*above, *itertools.compress(filled[first:], is_row[first:])]
+    if len(rows) == len(above):
+        raise RecordError(name, ["the file is empty; needed is a header and 2 rows."])
+    head = [row for _, row in rows[:_HEAD_ROWS]]
+    layout = layout_of(head)
+    if layout is None:
+        fault = f"found no table of numbers, 0 rows of it; {_NEEDED}"
+        raise RecordError(name, [fault])
+    try:
+        labels = _labels_of(head, layout, name)
+    except RecordError as error:
+        line = rows[layout.start][0]
+        raise RecordError(
+            name, [f"line {line}: {one}" for one in error.faults]
+        ) from None
+    start, unread_count = first_block(head, layout)
+    if unread_count:
+        line = rows[start - 1][0]
+        faults.append(f"line {line}: found {unread_count} rows above its names.")
+    lines, table = list[int](), list[list[str]]()
+    for line, row in rows[start:]:
+        cells = cells_of(row, layout.delimiter)
+        if len(cells) == layout.width + 1 and not cells[-1]:
+            cells.pop()
+        if len(cells) == layout.width:
+            lines.append(line)
+            table.append(cells)
+        else:
+            fault = f"line {line}: found {len(cells)} values; the header has "
+            faults.append(f"{fault}{layout.width} columns.")
+    columns = [
+        Column(
+            label.name,
+            label.unit,
+            functools.partial(
+                _strict_column,
+                [cells[place] for cells in table],
+                lines,
+                f"column {place + 1} ({label.name})",
+                layout,
+                faults,
+            ),
+        )
+        for place, label in enumerate(labels)
+    ]
+    header = rows[start - 1][0] if start else 0
+    return Table(columns, header=header, lines=tuple(lines))
+
+
+def _strict_column(
+    cells: list[str], lines: list[int], name: str, layout: Layout, faults: list[str]
+) -> Float[np.ndarray, " row"]:
+    """Numbers of the cells of a column; what is none, or not finite, is a fault."""
+    plain = cells
+    if layout.thousands:
+        plain = [cell.replace(layout.thousands, "") for cell in plain]
+    if layout.has_decimal_comma:
+        commas = [n for n, cell in zip(lines, plain, strict=True) if "," in cell]
+        points = [
+            n
+            for n, cell in zip(lines, plain, strict=True)
+            if "." in cell and "," not in cell
+        ]
+        if commas and points and not layout.thousands:
+            faults.append(
+                f"line {commas[0]}: found decimal commas, but points in line "
+                f"{points[0]}; allowed is one of them."
+            )
+        plain = [cell.replace(",", ".") for cell in plain]
+    try:
+        values = np.array(plain, dtype=np.float64)
+    except ValueError:
+        values = np.array([number_of(cell) for cell in cells])
+    for row in np.flatnonzero(~np.isfinite(values)):
+        faults.append(
+            f"line {lines[row]}, {name}: found `{cells[row]}`; allowed is a finite "
+            "number such as 1.5."
+        )
+    return values
 
 
 def _decoded(file: io.BufferedIOBase, name: str) -> tuple[io.BufferedIOBase, str]:

@@ -235,8 +235,8 @@ def fault_of_header(lines: list[str], layout: Layout) -> str:
     ):
         return ""
     return (
-        f"the rows have {layout.width} values, twice as many as the header has names: "
-        "decimal commas need another sign between the columns."
+        f"found {layout.width} values in every row, twice as many as the header has "
+        "names: decimal commas need another sign between the columns."
     )
 
 

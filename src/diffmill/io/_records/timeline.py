@@ -67,7 +67,7 @@ def timeline(
     # but forces may stand in every second row only, beside a faster channel.
     is_slower = np.median(np.diff(complete)) > 1
     rows = complete if is_slower else np.flatnonzero(has_time).astype(np.int32)
-    instants, rows = _ordered(_past_midnight(time[rows]), rows, faults, notes)
+    instants, rows = _ordered(past_midnight(time[rows]), rows, faults, notes)
     step, resolution = _stamps(instants)
     if not step > 0:
         faults.append("the time does not increase; name another column or none.")
@@ -145,7 +145,7 @@ def _counted(
     return Timeline(rows / rate, rows, is_after_gap, rate)
 
 
-def _past_midnight(time: Float[np.ndarray, " row"]) -> Float[np.ndarray, " row"]:
+def past_midnight(time: Float[np.ndarray, " row"]) -> Float[np.ndarray, " row"]:
     """Return a time of day that goes on after midnight."""
     steps = np.diff(time)
     is_next = (steps < -_HALF_DAY) & (steps > -_DAY)
