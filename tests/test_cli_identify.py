@@ -829,7 +829,7 @@ def test_records_of_four_programs_are_fitted_together(folder, run):
     head, one, *_ = text.split("[[record]]")
     text = f'{head}[[record]]{one}tooth_angle = "{angle + 4} deg"\n'
     said = run("one.toml", text + '[fit]\nlowpass = "1.5 kHz"\n')
-    off = float(said.split("the tooth stands ")[1].split(" deg")[0])
+    off = float(said.split("the tooth is ")[1].split(" deg")[0])
     assert abs(off + 4) < 0.5
 
 
@@ -849,7 +849,7 @@ def test_a_record_of_a_straight_cut_gives_its_coefficients(folder, run):
     # The record has no tare, and is known to need none.
     known = "has_offset = false\nhas_drift = false\n"
     text = run("slot.toml", f'{text}[fit]\naxes = "proposed"\n{known}')
-    assert 'axes: ["y", "x", "z"] (the likeliest, as asked for)' in text
+    assert 'axes: ["y", "x", "z"] (the likeliest, as requested)' in text
     assert " 6012." in text and "No section without a cut was found" in text
     out, facts, toml = results(folder, "slot")
     for name, value in zip(LinearEdgeLaw.NAMES, pulled, strict=True):
@@ -950,7 +950,7 @@ def test_link_errors_are_written_as_a_calibration_of_the_robot(folder, run):
     pose = write_poses(folder)
     said = run("poses.toml", POSES)
     assert "60 positions of the tool" in said
-    assert "no pose of this robot, tool and instrument tells:" in said
+    assert "no pose of this robot, tool and instrument determines:" in said
     assert "poses that would help most:" in said
     out, facts, toml = results(folder, "poses")
     left_out = facts["left_out_m"]

@@ -59,7 +59,7 @@ def test_points_of_the_world_stay_whatever_a_clamping_says(read):
         places(program), [(1, 2, -30, 0, 0, -1), (4, 5, 6, 0, 0, 1)]
     )
     assert any(
-        "line 3: CSYS: tells how the work is clamped" in n for n in program.notes
+        "line 3: CSYS: states how the work is clamped" in n for n in program.notes
     )
 
 
@@ -155,4 +155,4 @@ def test_origin_tells_the_machine_and_comments_of_creo_go_on(read):
     text += START.format("ORIGIN/5,6,7", "1,2,3") + "ORIGIN/0,0,0\nGOTO/4,5,6\nFINI"
     program = read(text, ".ncl")
     assert program.moves[-1].end == pytest.approx((4 * MM, 5 * MM, 6 * MM))
-    assert "tells where the machine's zero is" in "".join(program.notes)
+    assert "states where the machine's zero is" in "".join(program.notes)

@@ -182,7 +182,7 @@ def test_lines_behind_the_end_are_not_carried_out():
     assert ends("(made)\n\n%\n#1=2\nG0 X#1\n%\nG0 X3") == [(2, 0, 0)]
     for text in ("#1=2\nG0 X#1\n%\n\n", "G0 X2\n%\n"):
         assert ends(text) == [(2, 0, 0)]
-    with pytest.raises(ProgramError, match="a % stands alone"):
+    with pytest.raises(ProgramError, match="a % is allowed alone"):
         ends("G0 X2\n%\nG0 X3")
     # A line that is never reached may have what is not known.
     assert ends("G0 X1\no1 if [0]\nG0 X#<no>\no1 endif") == [(1, 0, 0)]

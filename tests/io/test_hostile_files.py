@@ -198,7 +198,7 @@ def test_stamps_that_tell_no_rate(tmp_path):
     file = tmp_path / "cut.txt"
     file.write_text("\n".join(["t;Fx;Fy;Fz", *rows]))
     message = message_of(io.load_record, file, io.RecordError)
-    assert "too few digits to tell the sampling rate" in message
+    assert "too few digits to show the sampling rate" in message
     assert io.load_record(file, {"time": None}, 100.0).rate == pytest.approx(100.0)
 
 

@@ -51,7 +51,7 @@ def test_every_joint_beyond_its_limits_is_named(write):
     # The program goes to x = 20 mm and up to z = 1 mm.
     for part in ("joint x", "-1000.0 to 5.0 mm", "20.0 mm", "15 mm more", "rows"):
         assert part in first
-    for part in ("time 0.000 s", "joint z would stand at 1.0 mm", "1.2 mm more"):
+    for part in ("time 0.000 s", "joint z would be at 1.0 mm", "1.2 mm more"):
         assert part in second
 
 
@@ -183,7 +183,7 @@ def test_another_configuration_is_suggested(flat_job):
     arm = flat_arm(lower="-2 rad", upper="1.6 rad")
     x = np.linspace(0.8, 0.6, 9)
     (problem,) = problems_of(flat_job(arm, x, 0, (-0.6, 1.2)))
-    assert "joint two would stand at" in problem
+    assert "joint two would be at" in problem
     found = re.search(r'joint_start = \["(.*) deg", "(.*) deg"\] avoids it', problem)
     assert found is not None
     start = np.deg2rad([float(text) for text in found.groups()])

@@ -297,7 +297,7 @@ def test_spikes_are_left_out_of_a_mean_and_counted(tmp_path):
     job = HEAD.replace("force_records", "mean_forces") + SECOND
     task = load(tmp_path, job, text(TIME, force))
     np.testing.assert_allclose(task.mean_force[0], [60, -30, 12], atol=0.6)
-    assert "10 of 64 revolutions hold gross errors" in " ".join(task.records[0].notes)
+    assert "10 of 64 revolutions have gross errors" in " ".join(task.records[0].notes)
     assert not any("gross errors" in note for note in task.records[1].notes)
 
 

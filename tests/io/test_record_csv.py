@@ -217,7 +217,7 @@ def test_equal_stamps_in_wrong_order_are_refused(tmp_path):
 def test_a_dead_channel_is_told(tmp_path):
     lines = [f"{t:.4f},{x},7,{z}" for t, (x, _, z) in zip(TIME, FORCE, strict=True)]
     record = load(tmp_path, NAMES + "\n".join(lines))
-    assert "`Fy` (Fy) holds 7 in all rows: a dead channel" in record.notes[0]
+    assert "`Fy` (Fy) is 7 in all rows: a dead channel" in record.notes[0]
 
 
 @pytest.mark.parametrize("axis", range(3))

@@ -146,7 +146,7 @@ def test_a_tool_of_krl_is_known_by_its_value(read):
     program = read(krl(one, *work, two, *work, one, *work))
     assert program.tools == (1, 2)
     assert [part.tool for part in program.sections] == [1, 2, 1]
-    assert any("tool 2: stands for {X0,Y0,Z250" in note for note in program.notes)
+    assert any("tool 2: is {X0,Y0,Z250" in note for note in program.notes)
     heights = [part.tool_position[2] for part in program.sections]
     assert heights == pytest.approx([0.15, 0.25, 0.15])
     assert read(krl(one, *work, one.replace("150", "150.0"), *work)).tools == (None,)

@@ -148,7 +148,7 @@ def test_a_job_has_the_machine_that_was_learnt(folder):
     program = (folder / "part.ngc").read_text()
     (folder / "part.ngc").write_text(program.replace("X6", "X5"))
     other = dm.load_job(folder / "job.toml")
-    assert "holds for another program" in other.notes[-1]
+    assert "is of another program" in other.notes[-1]
     away = np.asarray(other.path.disturbance) - field
     np.testing.assert_allclose(away, 0.0, atol=1e-12)
     assert "name that file as learnt in [prior]" in problems(folder, HEAD + TRACKER)

@@ -44,7 +44,7 @@ def value_at(tables: Tables, key: str) -> object:
             cure = ""
             if key.startswith(("robot.joint_stiffness", "robot.joint_damping")):
                 cure = "; `diffmill robot MODEL` prints those of a model, to be copied"
-            raise LookupError(f"the job file holds no value there{cure}")
+            raise LookupError(f"the job file has no value there{cure}")
     return found
 
 

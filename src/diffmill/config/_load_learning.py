@@ -151,7 +151,7 @@ def _prior(
     others = sorted(table.model_fields_set - {"learnt"})
     if others:
         context.problems.append(
-            f"[prior] learnt: found beside {', '.join(others)}, which it stands in for"
+            f"[prior] learnt: found beside {', '.join(others)}, which it replaces"
         )
     return read_learnt(table.learnt, "[prior] learnt", context.with_notes(notes))
 

@@ -58,7 +58,7 @@ def report(study: ControllerStudy, result: ControllerStudy.Fit) -> Report:
         lines += noted(
             "One servo for all axes does not suit this record: each axis alone would "
             f"have {each}. A job takes one for each joint ([controller]), which tips "
-            "alone do not tell: look at the gains of the servos, or let `diffmill "
+            "alone do not determine: look at the gains of the servos, or let `diffmill "
             "learn` find what moves each joint.",
             "warning",
         )

@@ -70,7 +70,7 @@ def _wanders(v: dict[str, float], axes: Sequence[str]) -> str:
     return (
         f"Clock and spindle part by {v['spread'] * 1e3:.2g} ms rms: single samples may "
         "be lost, or the spindle turns unevenly. A column of the time, or a tacho, "
-        "tells."
+        "would show which."
     )
 
 

@@ -90,8 +90,8 @@ def _fit_lines(study: ForceRecordStudy, result: ForceRecordStudy.Fit) -> list[st
         ),
     ]
     lines += noted(
-        "The standard errors hold noise, coloured or not, what repeats with the teeth "
-        "and is not in the model, and the simulation's rays and angles; not "
+        "The standard errors include noise, coloured or not, what repeats with the "
+        "teeth and is not in the model, and the simulation's rays and angles; not "
         f"{NOT_IN_ERRORS}."
     )
     for name, value in fit.refined.items():

@@ -109,7 +109,7 @@ def _fault_texts(faults: FrequencyResponse.Faults) -> list[str]:
     texts = []
     if faults.is_conjugate:
         texts.append(
-            "The phase has the wrong sign, as of a file that holds the complex "
+            "The phase has the wrong sign, as of a file that has the complex "
             "conjugate or a phase lag: with the sign of the imaginary part (or of the "
             "phase) reversed the modes explain it. Nothing was changed."
         )

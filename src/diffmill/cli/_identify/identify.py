@@ -27,9 +27,9 @@ if TYPE_CHECKING:
 # Captions of figures by how their names begin.
 _CAPTIONS = {
     "correlation": "Two values whose errors correlate by nearly 1 or -1 are hard to "
-    "tell apart with these measurements.",
+    "distinguish with these measurements.",
     "damping_correlation": "Two dampers whose errors correlate by nearly 1 or -1 are "
-    "hard to tell apart with these measurements.",
+    "hard to distinguish with these measurements.",
     "left_out": "Measurements that the fit did not see, as the fit predicts them.",
     "prediction": "Measurements that the fit did not see, as the fit predicts them.",
     "record": "What was measured, and what the fit makes of it.",
@@ -149,7 +149,7 @@ def _page(
     return StudyReport(
         kind="Identification",
         title=f"{file.stem}: {kind.replace('_', ' ')}",
-        asked=(f"Values that {file.name} asks for, from these measurements:", *asked),
+        asked=(f"Values that {file.name} names, from these measurements:", *asked),
         verdict=_verdict(report),
         tables=(estimate_table(report.estimates),),
         assumptions=tuple(report.assumptions),

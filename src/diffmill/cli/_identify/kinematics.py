@@ -32,7 +32,7 @@ _WHAT = {
 
 _ASSUMED = (
     "Beforehand each error is normal about zero with the size that [prior] states; "
-    "standard errors hold for that.",
+    "standard errors follow from that.",
     "The robot stands still and unloaded in each pose, and the instrument does not "
     "move.",
 )
@@ -235,7 +235,7 @@ def _cross_validation_lines(
         "and its load."
     )
     if cross_validated.with_process is not None:
-        lines += noted("The process is told, and not written: no job reads it.")
+        lines += noted("The process is printed, and not written: no job reads it.")
     return lines
 
 
@@ -252,10 +252,10 @@ def _open_lines(result: KinematicStudy.Fit) -> list[str]:
     units = {one.name: one.unit for one in fit.model.parameters}
     for head, found in (
         (
-            "no pose of this robot, tool and instrument tells",
+            "no pose of this robot, tool and instrument determines",
             result.ambiguities.structural,
         ),
-        ("these poses do not tell, others would", result.ambiguities.of_poses),
+        ("these poses do not determine, others would", result.ambiguities.of_poses),
     ):
         if not found:
             continue
@@ -295,7 +295,7 @@ def _toml(study: KinematicStudy, result: KinematicStudy.Fit) -> list[str]:
     """Table `[robot.calibration]`."""
     errors, sigma = result.fit.errors, result.fit.standard_link_errors
     lines = [
-        "# Each error is known to what stands behind it (1 sigma), all together far",
+        "# Each error is known to the number behind it (1 sigma), all together far",
         "# better: none may be left out.",
         "[robot.calibration]",
     ]

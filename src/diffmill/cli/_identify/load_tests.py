@@ -18,7 +18,7 @@ from .toml_snippets import doubted, joints_toml, uncertainty_toml
 _ASSUMED = (
     "Joints are linear springs, links are rigid, and the load acts at the tool of the "
     "robot's file.",
-    "The brakes or servos hold the motors where they are while the load comes on.",
+    "The brakes or servos keep the motors where they are while the load comes on.",
 )
 
 

@@ -176,7 +176,7 @@ def _axes_lines(study: MeanForceStudy, result: MeanForceStudy.Fit) -> list[str]:
         names = ", ".join(axes_text(one.axes) for one in alike[:4])
         lines += noted(
             f"From mean forces alone {names} would make as much sense; whole records "
-            "tell more."
+            "decide between them."
         )
     return lines
 
@@ -190,9 +190,9 @@ def _fit_lines(result: MeanForceStudy.Fit) -> list[str]:
             fit.coefficients, fit.coefficients, fit.standard_errors, fit.identifiable
         ),
         *noted(
-            "The standard errors are those of the scatter about the lines: they hold "
-            "neither an offset, which goes into the coefficients of the edges, nor "
-            f"{NOT_IN_ERRORS}."
+            "The standard errors are those of the scatter about the lines: they "
+            "include neither an offset, which goes into the coefficients of the edges, "
+            f"nor {NOT_IN_ERRORS}."
         ),
         "the lines explain "
         + ", ".join(
@@ -223,7 +223,7 @@ def _fit_lines(result: MeanForceStudy.Fit) -> list[str]:
     if lost and len(force) > 2:
         lines += noted(
             f"{', '.join(lost)}: the standard error is large beside the mean forces; a "
-            "wider range of feeds tells cutting and edge coefficients better apart, "
+            "wider range of feeds separates cutting and edge coefficients better, "
             "deeper cuts lift both over the noise."
         )
     good = np.isfinite(left).all(axis=1)

@@ -21,7 +21,7 @@ LEAST_EXPLAINED = 0.9
 _ASSUMED = (
     "The structure is linear: the frequencies do not change with the size of the "
     "vibration, and the damping is viscous.",
-    "The robot stands still and its servos hold it as in the cut.",
+    "The robot stands still and its servos are on as in the cut.",
 )
 
 

@@ -43,11 +43,11 @@ def tooth_lines(
         shown = Rounded.of(angle, 360 * error / turn).value
         if record.knows_tooth:
             lines.append(
-                f"{record.name}: the tooth stands {angle:+.2g} deg off the tooth_angle"
+                f"{record.name}: the tooth is {angle:+.2g} deg off the tooth_angle"
             )
         elif record.angle is not None and record.time_shift is None:
             lines += noted(
-                f"{record.name}: tooth 0, or one that looks alike, stands at "
+                f"{record.name}: tooth 0, or one that looks alike, is at "
                 f"{shown} deg at the zero of the spindle's angle: "
                 f'tooth_angle = "{shown} deg".'
             )
@@ -103,7 +103,7 @@ def used_axes_lines(axes: Sequence[str], settings: ForceSettings) -> list[str]:
     """Axes of a fit and the body on which the recorded forces act, line by line."""
     why = "as given or recorded"
     if settings.takes_proposed:
-        why = "the likeliest, as asked for"
+        why = "the likeliest, as requested"
     return [
         f"axes: {axes_text(axes)} ({why})",
         f"  {force_on_text(axes, settings.force_on)}",
@@ -133,7 +133,9 @@ def axes_lines(study: ForceRecordStudy, result: ForceRecordStudy.Fit) -> list[st
             "warning",
         )
     elif not proposal.is_clear:
-        lines += noted("Others suit nearly as well: the record does not tell the axes.")
+        lines += noted(
+            "Others suit nearly as well: the record does not determine the axes."
+        )
     own = [place.proposal.proposals[0].axes for place in result.registrations]
     # No record tells the sign of z.
     ((usual, count),) = Counter(one[:2] for one in own).most_common(1)

@@ -170,7 +170,7 @@ def correlation_lines(
         value = correlation[i, j]
         if np.isfinite(value) and abs(value) > 0.9:
             lines += noted(
-                f"{names[i]} and {names[j]} are hard to tell apart (correlation "
+                f"{names[i]} and {names[j]} are hard to distinguish (correlation "
                 f"{value:.3f})."
             )
     return lines

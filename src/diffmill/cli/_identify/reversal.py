@@ -192,8 +192,8 @@ def _doubts(name: str, fitted: ReversalStudy.Drive) -> list[str]:
         else:
             doubts.append(
                 f"{name}: the load changes its side with the motion alone; backlash "
-                "and friction cannot be told apart, and the reversal holds half of the "
-                "backlash."
+                "and friction cannot be separated, and the reversal includes half of "
+                "the backlash."
             )
     low, high = drive.presliding_interval
     if low == 0.0 or not math.isfinite(high):

@@ -55,8 +55,8 @@ def check_correction(
     ):
         if is_asked and not (cutter.is_plain and is_upright):
             problems.append(
-                f"[correction] {key}: found {found}, which needs a flat cutter that "
-                f"stands along +z; allowed here: {instead}"
+                f"[correction] {key}: found {found}, which needs a flat cutter "
+                f"along +z; allowed here: {instead}"
             )
     problems.extend(f"[correction] {fault}" for fault in table.objective.faults())
     problems.extend(f"[correction] {fault}" for fault in table.misplaced())

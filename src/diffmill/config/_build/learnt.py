@@ -55,6 +55,6 @@ def with_learnt(job: Job, learnt: "MachinePosterior", context: FileContext) -> J
         return job
     what = "and what no parameter explains"
     if not learnt.is_of(job):
-        what = "without what none of them explains, which holds for another program"
+        what = "without what none of them explains, which is of another program"
     note = f"[learnt]: the machine has the parameters that parts have shown, {what}"
     return dataclasses.replace(adapted, notes=(*adapted.notes, note))

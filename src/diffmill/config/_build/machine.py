@@ -27,7 +27,7 @@ def read_machine(table: MachineTable, context: FileContext) -> TipModes | None:
         found = "nothing" if table.modes is None else "both"
         problems.append(
             f"[machine]: found {found} of modes and file, but exactly one is required: "
-            "[[machine.modes]], or a file that holds them"
+            "[[machine.modes]], or a file with them"
         )
         return None
     entries = table.modes

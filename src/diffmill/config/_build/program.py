@@ -173,7 +173,7 @@ def commanded_tips(
     told = read_command(table.commanded, key, path, context)
     if told is not None:
         context.notes.append(
-            f"{key}: the controller is told {table.commanded}; errors are those from "
+            f"{key}: the controller receives {table.commanded}; errors are those from "
             "the program"
         )
     return told

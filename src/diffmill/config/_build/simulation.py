@@ -57,7 +57,7 @@ def completed_simulation(
     if table.has_bottom and is_unknown:
         problems.append(
             "[simulation] bottom_edges: found true, but with dish_angle they are known "
-            "only of a tool that stands upright, with even pitch and without run-out"
+            "only of an upright tool, with even pitch and without run-out"
         )
     has_bottom = table.has_bottom
     if has_bottom is None:

@@ -92,9 +92,9 @@ def scaled(value: object, factor: float, key: str = "") -> object:
         if found == value and factor != 1:
             cure = ""
             if "material" in value:
-                cure = "; state the coefficients that `diffmill check` tells of it"
+                cure = "; state the coefficients that `diffmill check` prints"
             raise ValueError(
-                f"found {value!r}, which holds no quantity with a unit{cure}"
+                f"found {value!r}, which has no quantity with a unit{cure}"
             )
         return found
     if isinstance(value, list):

@@ -123,7 +123,7 @@ def check_constant_force(fastest: float, substep: float, notes: list[str]) -> No
     if share > _TOO_LOW:
         notes.append(
             f"[simulation] substeps: a force that oscillates at {fastest:.4g} Hz is "
-            f"{100 * share:.1f} % too small when it is held over sub-steps of "
+            f"{100 * share:.1f} % too small when it is constant over sub-steps of "
             f"{1e3 * substep:.3g} ms"
         )
 

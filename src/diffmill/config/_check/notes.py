@@ -56,9 +56,9 @@ def notes(stock: StockPlan, path: Path, cutter: AbstractCutter) -> tuple[str, ..
     if cutter.has_runout:
         most = float(np.max(np.asarray(cutter.runout_offsets())))
         notes.append(
-            f"[cutter] runout: the tooth that stands out most cuts {most * 1e6:.3g} um "
-            "farther at its tip; the machined surface shows it, but contour error and "
-            "correction are those of the tool's axis"
+            "[cutter] runout: the tooth with the largest radius cuts "
+            f"{most * 1e6:.3g} um farther at its tip; the machined surface shows it, "
+            "but contour error and correction are those of the tool's axis"
         )
     depth = immersion(path, cutter, stock)
     if depth > cutter.flute_length:

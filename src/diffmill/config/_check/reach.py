@@ -181,7 +181,7 @@ def _check_limits(
         is_slide = robot.joint_kinds[i] == "prismatic"
         scale, unit = (1e3, "mm") if is_slide else (180 / np.pi, "deg")
         problems.append(
-            f"[robot]: {at_row(path, k)}: joint {robot.joint_names[i]} would stand at "
+            f"[robot]: {at_row(path, k)}: joint {robot.joint_names[i]} would be at "
             f"{found.q[k, i] * scale:.1f} {unit}; allowed is {lower[i] * scale:.1f} to "
             f"{upper[i] * scale:.1f} {unit}; that is {most * scale:.2g} {unit} more, "
             f"and too much in {is_over[:, i].sum()} of {path.step_count} rows"

@@ -61,7 +61,7 @@ class PosesTable(MeasuredTable):
     gravity_compensated: StrictBool = Field(
         default=True,
         description="false: the controller leaves the sag of the arm under its own "
-        "weight, which its springs and masses tell",
+        "weight, which follows from its springs and masses",
     )
     waves: StrictBool = Field(
         default=False,
@@ -74,14 +74,14 @@ class PosesTable(MeasuredTable):
     )
     parameters: Literal["all", "independent"] = Field(
         default="all",
-        description="six errors of every joint, as many as poses can tell apart being "
+        description="six errors of every joint, as many as poses can distinguish being "
         "found and the others left open; or those alone, as many as modified "
         "parameters of Denavit and Hartenberg",
     )
     process: StrictBool = Field(
         default=False,
-        description="true: tells how much of what link errors leave a Gaussian process "
-        "on the joints would predict",
+        description="true: prints how much of what link errors leave a Gaussian "
+        "process on the joints would predict",
     )
     folds: Annotated[StrictInt, Field(ge=2, le=100)] = Field(
         default=5,
@@ -306,7 +306,7 @@ def _check_sizes(
         size = 0.0 if values is None else float(np.nanmax(np.abs(values), initial=0.0))
         if size > limit:
             faults.append(
-                f"the columns of `{what}` hold {size:.4g} {unit}, which no robot has; "
+                f"the columns of `{what}` reach {size:.4g} {unit}, which no robot has; "
                 "give the unit in the header, or by `units`, such as "
                 f'{{ {what} = "{wrong}" }}.'
             )

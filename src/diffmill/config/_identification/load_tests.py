@@ -225,7 +225,7 @@ def _check_sizes(
     ):
         if size > limit:
             faults.append(
-                f"the columns of `{what}` hold {size:.4g} {unit}, which no load test "
+                f"the columns of `{what}` reach {size:.4g} {unit}, which no load test "
                 f"has; give the unit in the header, or by `units`, such as "
                 f'{{ {what} = "{wrong}" }}.'
             )

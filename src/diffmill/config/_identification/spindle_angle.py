@@ -65,7 +65,7 @@ def spindle_angle(
         measured = float(angle[-1] - angle[0]) / float(record.time[-1] - record.time[0])
         if abs(measured / speed - 1) > _SPEED_OFF or not np.all(np.diff(angle) > 0):
             raise ValueError(
-                f"The {what} tells {measured * 30 / math.pi:.5g} rpm, but "
+                f"The {what} gives {measured * 30 / math.pi:.5g} rpm, but "
                 f"{speed * 30 / math.pi:.5g} rpm are given: look at the speed and at "
                 "pulses_per_turn."
             )

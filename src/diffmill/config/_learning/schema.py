@@ -132,7 +132,7 @@ class MachinePriorTable(TomlTable):
     learnt: File | None = Field(
         default=None,
         description="learnt.nc of another program on the same machine, whose "
-        "parameters stand in for all else of this table",
+        "parameters replace all else of this table",
     )
     stiffness: Uncertainty = Field(
         default=0.1, description="share by which each joint's stiffness is off"

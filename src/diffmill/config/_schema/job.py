@@ -401,7 +401,7 @@ def read_tables(raw: Mapping[str, object], problems: list[str]) -> JobTables:
             return None
         hint = ""
         if name == "robot":
-            hint = " (rigid = true stands for no robot), or [machine]"
+            hint = " (rigid = true means no robot), or [machine]"
         problems.append(f"[{name}]: found no such table, but it is required{hint}")
         return None
 

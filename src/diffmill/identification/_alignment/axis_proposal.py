@@ -140,7 +140,7 @@ def combine_axes_proposals(proposals: Sequence[AxesProposal]) -> AxesProposal:
         ValueError: There are none.
     """
     if not proposals:
-        raise ValueError("Argument `proposals` must hold at least one, but is empty.")
+        raise ValueError("Argument `proposals` must have at least one, but is empty.")
     by_label = [{c.label: c for c in one.candidates} for one in proposals]
     merged = []
     for label, first in by_label[0].items():

@@ -113,7 +113,7 @@ class RecordRegistration:
         turns = min(_TURNS, math.floor((float(time[-1] - time[0])) / turn + 1e-6))
         if turns < 3:
             raise ValueError(
-                f"The record must hold 3 revolutions of {turn:.4g} s, but lasts "
+                f"The record must have 3 revolutions of {turn:.4g} s, but lasts "
                 f"{float(time[-1] - time[0]):.4g} s."
             )
         keep = time <= time[0] + turns * turn
@@ -204,7 +204,7 @@ class RecordRegistration:
         inside &= is_cut[np.clip(place, 0, len(is_cut) - 1)]
         if inside.sum() < 12:
             raise ValueError(
-                f"The record, {float(time[0]):g} to {float(time[-1]):g} s, holds "
+                f"The record, {float(time[0]):g} to {float(time[-1]):g} s, has "
                 f"{int(inside.sum())} samples while the job cuts: look at the time "
                 "shift."
             )
@@ -310,7 +310,7 @@ def _axes_proposal(
     count = int(is_near.sum())
     if count < _LEAST:
         raise ValueError(
-            f"The record must hold {_LEAST} samples with the cut that lie near each "
+            f"The record must have {_LEAST} samples with the cut that lie near each "
             f"other, but its gaps leave {count} of {known.size}."
         )
     columns = at_times(engagement.columns, engagement.start, engagement.spacing, grid)

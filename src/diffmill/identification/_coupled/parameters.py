@@ -46,7 +46,7 @@ def fitted_names(
         ]
         if not group:
             raise ValueError(
-                f'Argument `fit` may hold "K", "D", {", ".join(values)}, but holds '
+                f'Argument `fit` may have "K", "D", {", ".join(values)}, but has '
                 f'"{name}".'
             )
         wanted += group

@@ -79,6 +79,6 @@ def coupled_notes(
         elif names[i].endswith("e"):
             why = "add cuts at other feeds per tooth, and the force to the record"
         if others[j] > _CONFUSED:
-            why = f"it cannot be told from {names[j]}; {why}"
+            why = f"it cannot be distinguished from {names[j]}; {why}"
         notes.append(f"{names[i]} is not identifiable: {why}.")
     return tuple(notes)

@@ -165,7 +165,7 @@ class ForceCoefficientFit(eqx.Module):
         strange = sorted(set(known) - set(NAMES))
         if strange:
             raise ValueError(
-                f"Arguments must be among {', '.join(NAMES)}, but hold "
+                f"Arguments must be among {', '.join(NAMES)}, but are "
                 f"{', '.join(strange)}."
             )
         every = {**self.coefficients, **known}
@@ -173,7 +173,7 @@ class ForceCoefficientFit(eqx.Module):
         if lost:
             wanted = ", ".join(f"{name}=..." for name in lost)
             raise ValueError(
-                f"The records do not tell {', '.join(lost)}; give what is known "
+                f"The records do not determine {', '.join(lost)}; give what is known "
                 f"otherwise by `law_with({wanted})`, 0 to leave that force out."
             )
         return LinearEdgeLaw(**every)
@@ -465,7 +465,7 @@ def _baseline_notes(
             ]
             notes.append(
                 f"Offset {parts[0]} and drift {parts[1]} of x, y, z of the work{of} "
-                "were fitted beside the coefficients: a tare would tell them apart "
+                "were fitted beside the coefficients: a tare would separate them "
                 "from the forces of the edges."
             )
     return tuple(notes)
@@ -564,7 +564,7 @@ def _doubts(explained: float, K: np.ndarray) -> tuple[str, ...]:
         doubts.append(
             f"The fit explains {share} of the squared force, less "
             f"than {_EXPLAINED:.0%}: axes, cut, speed or time shift may be wrong, and "
-            "the standard errors do not tell how far the coefficients are off."
+            "the standard errors do not show how far the coefficients are off."
         )
     if K[0] <= 0:
         doubts.append("K_tc is not positive: axes or cut are wrong.")
@@ -621,7 +621,7 @@ def _refined_notes(
         )
     notes += [
         f"{name} has stayed at {1e6 * refined.values[name]:.3g} um, where its fit "
-        "began: no number is told. State a run-out in [cutter] to begin at."
+        "began: no number is printed. State a run-out in [cutter] to begin at."
         for name in names
         if not refined.has_moved[name]
     ]
@@ -663,6 +663,6 @@ def _check_names(axes: Axes, loss: str, refine: Sequence[str]) -> None:
     unknown = set(refine) - set(LENGTHS)
     if unknown:
         raise ValueError(
-            f"Argument `refine` may hold {', '.join(LENGTHS)}, but holds "
+            f"Argument `refine` may have {', '.join(LENGTHS)}, but has "
             f"{', '.join(sorted(unknown))}."
         )

@@ -98,9 +98,9 @@ def advise(
         if size[i] == 0 and i % 3 == 2 and not is_measured[2]:
             what = "no axial force was measured: record it too"
         elif size[i] == 0:
-            what = "it makes no force in these cuts: the records do not hold a cut"
+            what = "it makes no force in these cuts: the records have no cut"
         elif not np.isfinite(correlation[i, i]) or others[j] > _CONFUSED:
-            pair = f"it cannot be told from {_NAMES[j]}"
+            pair = f"it cannot be distinguished from {_NAMES[j]}"
             if i % 3 == j % 3 and i != j:
                 what = f"{pair}: add cuts at other feeds per tooth"
             else:

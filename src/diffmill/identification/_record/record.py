@@ -159,8 +159,8 @@ class Record(eqx.Module):
         keep = (self.time >= start) & (self.time <= stop)
         if np.count_nonzero(keep) < 2:
             raise ValueError(
-                f"The section {start:g} s to {stop:g} s must hold 2 samples of the "
-                f"record ({self.time[0]:g} s to {self.time[-1]:g} s), but holds "
+                f"The section {start:g} s to {stop:g} s must have 2 samples of the "
+                f"record ({self.time[0]:g} s to {self.time[-1]:g} s), but has "
                 f"{np.count_nonzero(keep)}."
             )
         names = ("time", "force", "is_saturated", "is_after_gap", "tacho", "angle")
@@ -250,7 +250,7 @@ class Record(eqx.Module):
             )
             return TurnsMean(force.mean(axis=0), (note,))
         note = (
-            f"{int((~good).sum())} of {good.size} revolutions hold gross errors and "
+            f"{int((~good).sum())} of {good.size} revolutions have gross errors and "
             "were left out of the mean force."
         )
         return TurnsMean(sums[good].sum(axis=0) / sizes[good].sum(), (note,))

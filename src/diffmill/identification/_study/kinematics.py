@@ -156,7 +156,7 @@ class KinematicStudy:
         cross_validated = leave_poses_out(
             fit, poses, self.noise, folds=self.folds, has_process=self.has_process
         )
-        on_progress("what the poses do not tell")
+        on_progress("what the poses leave open")
         unknown = ambiguities(fit, poses)
         return KinematicStudyFit(
             fit, cross_validated, unknown, suggest_poses(fit, poses)

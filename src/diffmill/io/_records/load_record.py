@@ -139,7 +139,7 @@ def _columns(
         finite = array[np.isfinite(array)]
         if key in forces and finite.min() == finite.max():
             reader.notes.append(
-                f"The column `{columns[key].name}` ({key}) holds {finite[0]:g} in all "
+                f"The column `{columns[key].name}` ({key}) is {finite[0]:g} in all "
                 "rows: a dead channel, unless there is no such force; `channels = "
                 f'{{ {key} = "none" }}` leaves it out.'
             )

@@ -176,7 +176,7 @@ class TableReader:
         key, kinds = quantity.key, quantity.kinds
         values = column.values()
         if not np.isfinite(values).any():
-            self.faults.append(f"the column `{column.name}` ({key}) holds no number.")
+            self.faults.append(f"the column `{column.name}` ({key}) has no number.")
             return None
         if not kinds:
             return self._as_read(quantity, column, None, values)
@@ -202,7 +202,7 @@ class TableReader:
             example = example or _sensitivity_example(unit, kinds[0])
             fault = (
                 f"the unit of the column `{column.name}` ({key}): {messages[0]}; or "
-                "say what a number stands for by `units`, such as "
+                "say what a number means by `units`, such as "
                 f"{{ {quantity.units[0]} = {example} }}."
             )
         elif unit in ELECTRIC:

@@ -90,7 +90,7 @@ def timeline(
         rate = rate or _roundest(instants, is_after_gap, 1 / step, resolution)
         if rate is None:
             faults.append(
-                "the time has too few digits to tell the sampling rate; give the rate "
+                "the time has too few digits to show the sampling rate; give the rate "
                 "and set the channel time to None, or name another column."
             )
             return None
@@ -186,7 +186,7 @@ def _ordered(
             if np.count_nonzero(is_open) > _DOUBTFUL_ROW_SHARE * time.size:
                 faults.append(
                     "the rows are in wrong order, and the time has too few digits to "
-                    "tell which of several rows with the same stamp comes first."
+                    "show which of several rows with the same stamp comes first."
                 )
             time, rows = time[order], rows[order]
             notes.append(

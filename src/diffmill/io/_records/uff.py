@@ -86,7 +86,7 @@ def _table(path: pathlib.Path, functions: list[_Function]) -> Table:
     if any(not np.array_equal(f.abscissa, one.abscissa) for f in functions):
         raise RecordError(
             str(path),
-            ["holds functions of different lines: write each to a file of its own."],
+            ["has functions of different lines: write each to a file of its own."],
         )
     label, unit = ("time", "s") if one.is_time else ("frequency", "Hz")
     columns, notes = [Column(label, unit, lambda: one.abscissa)], []

@@ -292,7 +292,7 @@ def _set_zero(statement: _Statement, reader: _Apt) -> None:
         reader.is_world = parts[:1] == ["WORLD"]
         reader.set_local_axis(reader.fixed_axis)
     elif word == "CSYS" and reader.is_world:
-        sentence = "tells how the work is clamped; points are in one frame, the WORLD"
+        sentence = "states how the work is clamped; points are in one frame, the WORLD"
         is_plain = frame == _PLAIN_CSYS
         reader.out.note(word, "changes no motion here" if is_plain else sentence, line)
         return
@@ -304,7 +304,7 @@ def _set_zero(statement: _Statement, reader: _Apt) -> None:
     reader.zeros[word] = frame
     sentence = "is the frame of all motion, which is taken to be work"
     if word in ("ORIGIN", "TRANS"):
-        sentence = "tells where the machine's zero is; the points stay as they are"
+        sentence = "states where the machine's zero is; the points stay as they are"
     is_plain = word == "TRNTYP" or frame == _PLAIN_CSYS
     reader.out.note(word, "changes no motion here" if is_plain else sentence, line)
 
@@ -377,8 +377,8 @@ def _move(statement: _Statement, reader: _Apt) -> None:
     reader.local_axis = local_axis
     if word == "FROM":
         if reader.out.has_section and point != reader.position:
-            message = "it tells where the tool is before a program or a tool begins; "
-            reader.reject(statement, message + "a motion stands before it.")
+            message = "it states where the tool is before a program or a tool begins; "
+            reader.reject(statement, message + "a motion comes before it.")
         if message := fault_of(Move(point, point)):
             reader.reject(statement, message)
         reader.position, reader.axis, reader.is_placed = point, axis, True

@@ -672,7 +672,7 @@ def _motion(
         x, y, z = (1e3 * value for value in reader.position)
         reader.values |= {"X": x, "Y": y, "Z": z}
     elif kind == "SPL":
-        reader.refuse(line, kind, "SPL stands between SPLINE and ENDSPLINE.")
+        reader.refuse(line, kind, "SPL is allowed between SPLINE and ENDSPLINE.")
     else:
         if kind in ("PTP", "SPTP"):
             reader.out.note(kind, "is taken as a straight rapid move", line)
@@ -733,7 +733,7 @@ def _orientation(a: float, b: float, c: float, tool_axis: ToolAxis) -> ToolPlace
 def _time_block(match: re.Match[str], line: int, reader: _Krl) -> None:
     """Apply TIME_BLOCK: shares of the segments, and the time of all."""
     if reader.spline is None:
-        reader.refuse(line, match[0], "TIME_BLOCK stands in a SPLINE block.")
+        reader.refuse(line, match[0], "TIME_BLOCK is allowed in a SPLINE block.")
     elif match[2] is not None and reader.spline:
         reader.spline[-1].share = bounded_number(match[2])
     elif match[3] is not None and reader.spline:

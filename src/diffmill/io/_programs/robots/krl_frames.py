@@ -160,7 +160,7 @@ class KrlFrames:
     def take(self, line: int, reader: Reader) -> None:
         """Use the frames in force for a motion: another tool begins a section."""
         if self.chosen.is_external:
-            message = "a tool that stands while the work moves is not supported."
+            message = "a stationary tool while the work moves is not supported."
             reader.refuse(line, "IPO_FRAME #TCP", message)
         base = self.chosen.base
         if self._used is None and base is not None and not is_known(base):
@@ -204,7 +204,7 @@ class KrlFrames:
         """Give a tool its number, and say so where the program has another name."""
         self._numbers[tool.key] = number
         if number != tool.number:
-            reader.out.note(f"tool {number}", f"stands for {tool.name}", line)
+            reader.out.note(f"tool {number}", f"is {tool.name}", line)
 
     def base_pose(self) -> tuple[Point, Point] | None:
         """Position [m] and roll, pitch, yaw [rad] of `work` in the base of the robot.

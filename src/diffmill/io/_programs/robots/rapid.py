@@ -726,7 +726,7 @@ def _check_holders(tool: str, frame: str, line: int, reader: _Rapid) -> None:
     data = reader.tool_data.get(name.lower(), _Data(True, None))
     work = reader.work_objects.get(frame, _Data(True, None))
     if not (data.is_usual and work.is_usual):
-        message = "a tool that stands while the robot holds the work is not supported."
+        message = "a stationary tool while the robot holds the work is not supported."
         reader.refuse(line, name if not data.is_usual else frame, message)
     if work.moves_with_unit:
         sentence = "moves with a mechanical unit, which is taken to stand still"

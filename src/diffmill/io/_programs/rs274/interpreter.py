@@ -64,7 +64,7 @@ _NO_MOTION = {
     "stops",
     "spindle mode": "the spindle has a constant speed",
     "surface speed": "the spindle speed follows from the job, not from S",
-    "orientation": "the spindle stands where the cutter does not cut",
+    "orientation": "the spindle stops where the cutter does not cut",
     "signals": "inputs and outputs change no motion, and no wait takes time here",
     "diameter": "X is a radius",
     "smoothing": "corners are as [program] corner_tolerance says",

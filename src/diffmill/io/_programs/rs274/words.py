@@ -98,9 +98,9 @@ def report_unknown(
         end = len(compact)
     shown = compact[position:end].split("(")[0]
     if letter == "/":
-        message = "a block delete / stands at the start of its line only."
+        message = "a block delete / is allowed at the start of its line only."
     elif letter == "%":
-        message = "a % stands alone on the first and on the last line only."
+        message = "a % is allowed alone on the first and on the last line only."
     elif letter == "O":
         message = "this is no O-word; known are sub, endsub, call, return, if, elseif, "
         message += (
