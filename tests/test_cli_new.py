@@ -43,7 +43,8 @@ def test_what_is_missing_is_a_line_to_fill_in(program, capsys):
     lines = [line for line in text.splitlines() if "FILL IN" in line]
     keys = [line.split()[1] for line in lines]
     assert keys == ["diameter", "teeth", "speed", "material", "model", "work_in_base"]
-    assert "comments of the program name 8\n" in text
+    assert 'diameter = "8 mm"  # FILL IN: of the cutter; comments of the' in text
+    assert "comments of the program name 8 mm\n" in text
     assert said.count("FILL IN") == len(lines)
     # Each names the line, whose example is of the right kind.
     for line in lines:
@@ -54,6 +55,38 @@ def test_what_is_missing_is_a_line_to_fill_in(program, capsys):
         filled = filled.replace(line, line.removeprefix("# "))
     program.with_suffix(".toml").write_text(filled)
     assert main(["check", "part.toml"]) == 0
+
+
+OUTLINE = """DEF outline()
+$TOOL={X 0,Y 0,Z 250,A 0,B 0,C 0}
+$BASE={X 1800,Y 0,Z 900,A 0,B 0,C 0}
+$VEL.CP=0.1
+LIN {X -4,Y 4,Z 15,A 0,B 0,C 180}
+LIN {X -4,Y 4,Z -2,A 0,B 0,C 180}
+$VEL.CP=0.02
+LIN {X 20,Y 4,Z -2,A 0,B 0,C 180}
+LIN {X 20,Y 24,Z -2,A 0,B 0,C 180}
+LIN {X 20,Y 24,Z 15,A 0,B 0,C 180}
+END
+"""
+
+
+def test_the_assumed_block_of_an_outline_is_cut(here, capsys):
+    (here / "outline.src").write_text(OUTLINE)
+    assert main(["new", "outline.src", *ANSWERED, "--speed", "8000 rpm"]) == 0
+    assert "nothing is cut" not in capsys.readouterr().out
+    text = (here / "outline.toml").read_text()
+    # Moves up and down do not say how high the block is.
+    assert 'lower = ["-4 mm", "4 mm", "-3 mm"]' in text
+    assert 'upper = ["20 mm", "24 mm", "0 mm"]' in text
+    assert dm.load_job(here / "outline.toml").output.formats == ("krl",)
+
+
+def test_a_diameter_of_a_program_in_inches(program):
+    text = "G20 (inch)\n(T1 D=0.25 FLAT END MILL)\n" + program.read_text()
+    program.write_text(text.replace("G21", ""))
+    assert main(["new", "part.ngc"]) == 0
+    assert 'diameter = "0.25 in"' in program.with_suffix(".toml").read_text()
 
 
 def test_a_file_that_is_there_is_kept(program, capsys):

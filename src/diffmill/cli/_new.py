@@ -19,7 +19,7 @@ from ._session.job_options import JobOptions
 from ._session.progress import Progress
 
 if TYPE_CHECKING:
-    from ..toolpath import Path, Point, Program
+    from ..toolpath import Move, Path, Point, Program
 
 _OPEN = "FILL IN"
 # Speeds, feeds and extents have so many digits.
@@ -35,6 +35,7 @@ _DIAMETER = re.compile(
     re.IGNORECASE,
 )
 _TOOL = re.compile(r"\bT\d|mill\b|tool|cutter|fr[aä]ser|\bbit\b", re.IGNORECASE)
+_INCHES = re.compile(r"\bG20\b|^\s*UNITS\s*/\s*INCH", re.IGNORECASE | re.MULTILINE)
 _COMMENT = re.compile(r"\(([^)]*)\)|[;!](.*)|^\s*PPRINT(.*)", re.MULTILINE)
 
 
@@ -44,9 +45,10 @@ class _Facts(NamedTuple):
     Attributes:
         lower: Least coordinates of the tip at a feed [m].
         upper: Greatest ones [m].
+        top: Greatest height at which the tip moves sideways at a feed [m].
         speeds: Spindle speeds [rad/s].
         feeds: Feeds [m/s].
-        diameters: Diameters that comments name, in the program's unit.
+        diameters: Diameters that comments name, with the program's unit.
         tools: Numbers of its tools.
         has_base: True if it states the place of the work in the robot's base.
         needs_acceleration: False for a path with times of its own.
@@ -54,9 +56,10 @@ class _Facts(NamedTuple):
 
     lower: Float[np.ndarray, " 3"]
     upper: Float[np.ndarray, " 3"]
+    top: float
     speeds: tuple[float, ...]
     feeds: tuple[float, ...]
-    diameters: tuple[float, ...]
+    diameters: tuple[str, ...]
     tools: tuple[int | None, ...]
     has_base: bool
     needs_acceleration: bool
@@ -145,6 +148,7 @@ def _path_facts(path: "Path") -> _Facts:
     return _Facts(
         lower=at_feed.min(axis=0),
         upper=at_feed.max(axis=0),
+        top=float(at_feed[:, 2].max()),
         speeds=(),
         feeds=(),
         diameters=(),
@@ -166,6 +170,7 @@ def _program_facts(program: "Program", tool: int | None) -> _Facts:
     return _Facts(
         lower=bounds.min(axis=0),
         upper=bounds.max(axis=0),
+        top=_top(at_feed),
         speeds=own.spindle_speeds,
         feeds=tuple(sorted({move.feed for move in at_feed if move.feed})),
         diameters=_diameters(program.source),
@@ -175,12 +180,26 @@ def _program_facts(program: "Program", tool: int | None) -> _Facts:
     )
 
 
-def _diameters(source: str) -> tuple[float, ...]:
-    """Diameters of cutters that comments of a program name."""
+def _top(at_feed: "list[Move]") -> float:
+    """Greatest height at which a move sideways begins or ends lower [m].
+
+    A plunge or a ramp into the block begins above it.
+    """
+    heights = [
+        min(move.start[2], move.end[2])
+        for move in at_feed
+        if move.start[:2] != move.end[:2]
+    ]
+    return max(heights, default=min(move.end[2] for move in at_feed))
+
+
+def _diameters(source: str) -> tuple[str, ...]:
+    """Diameters of cutters that comments of a program name, with its unit."""
     comments = [" ".join(filter(None, found)) for found in _COMMENT.findall(source)]
     of_tools = filter(_TOOL.search, comments)
     found = [float(x) for text in of_tools for x in _DIAMETER.findall(text)]
-    return tuple(dict.fromkeys(x for x in found if x > 0))
+    unit = "in" if _INCHES.search(_COMMENT.sub("", source)) else "mm"
+    return tuple(dict.fromkeys(f"{x:g} {unit}" for x in found if x > 0))
 
 
 def _asked(
@@ -254,17 +273,23 @@ def _line(key: str, value: str | None, example: str, comment: str) -> str:
 
 
 def _cutter_lines(options: JobOptions, facts: _Facts) -> list[str]:
-    named = ", ".join(f"{x:g}" for x in facts.diameters)
+    named = ", ".join(facts.diameters)
     hint = f"; comments of the program name {named}" if named else ""
+    comment = f"of the cutter{hint}"
     diameter = options.diameter and json.dumps(options.diameter)
     teeth = None if options.teeth is None else str(options.teeth)
     return [
         "[cutter]",
         'kind = "flat"                   # or "ball", or "bull" with corner_radius',
-        _line("diameter", diameter, '"10 mm"', f"of the cutter{hint}"),
+        _line("diameter", diameter, f'"{_diameter(options, facts)}"', comment),
         _line("teeth", teeth, "2", "number of its teeth"),
         '# helix_angle = "30 deg"        # 0 deg if left out',
     ]
+
+
+def _diameter(options: JobOptions, facts: _Facts) -> str:
+    """Diameter that is stated, or else an example: the first that comments name."""
+    return options.diameter or next(iter(facts.diameters), "10 mm")
 
 
 def _spindle_lines(options: JobOptions, facts: _Facts) -> list[str]:
@@ -283,20 +308,21 @@ def _stock_lines(options: JobOptions, facts: _Facts) -> list[str]:
     lower = [*facts.lower[:2], facts.lower[2] - _BELOW]
     # Most programs have their zero on top of the block.
     highest = 0.0 if facts.lower[2] < 0 else facts.lower[2] + _BELOW
-    upper = [*facts.upper[:2], max(highest, float(facts.upper[2]))]
-    # A line to fill in has this diameter as its example.
-    diameter = _length(options.diameter or "10 mm")
+    upper = [*facts.upper[:2], max(highest, facts.top)]
+    diameter = _length(_diameter(options, facts))
     spacing = json.dumps(f"{_number(1e3 * _SPACING * diameter)} mm")
+    is_long = [upper[a] - lower[a] > _LONG * diameter for a in range(2)]
     for a in range(2):
-        # A long way begins and ends beside the block, a short one is a slot in it.
-        is_long = upper[a] - lower[a] > _LONG * diameter
-        beside = -(diameter / 2 + _CLEAR) if is_long else diameter / 2
+        # A slot begins and ends beside the block and lies in it across; what is long
+        # both ways is the outline of the block.
+        beside = -(diameter / 2 + _CLEAR) if is_long[a] else diameter / 2
+        beside = 0.0 if all(is_long) else beside
         lower[a], upper[a] = lower[a] - beside, upper[a] + beside
     return [
         "[stock]",
-        "# ASSUMED: a long path begins and ends beside the block, a short one lies in",
-        "# it, and the block ends 1 mm below the deepest cut. Write the block that you",
-        "# clamp, in the coordinates of the program.",
+        "# ASSUMED: the tip goes to the edges of the block, in a slot beyond them, and",
+        "# the block ends 1 mm below the deepest cut. Write the block that you clamp,",
+        "# in the coordinates of the program.",
         f"lower = {_millimetres(lower)}",
         f"upper = {_millimetres(upper)}",
         f"spacing = {spacing}             # a 40th of the cutter's diameter or less",

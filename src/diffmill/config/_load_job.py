@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from .._job import Job
 from .._toml import JobError, read_toml
+from ..io import PROGRAM_FORMATS
 from ..robot import Controller, Robot
 from ..settings.correction import CorrectionSettings
 from ..settings.output import OutputSettings
@@ -478,7 +479,7 @@ def _completed_output(
     """Settings with the keys that a job leaves out, and the angles of its program."""
     axis, formats = output.tool_axis, output.formats
     if formats is None:
-        formats = ("gcode",) if path.is_upright else ("krl",)
+        formats = (_own_format(table) or ("gcode" if path.is_upright else "krl"),)
     if axis is None and isinstance(program, Program) and table is not None:
         axis = table.tool_axis
     return dataclasses.replace(
@@ -490,6 +491,13 @@ def _completed_output(
         source_axis=getattr(program, "tool_axis", None),
         pass_over=() if table is None else tuple(table.pass_over),
     )
+
+
+def _own_format(table: ProgramTable | None) -> str | None:
+    """Format of a robot's program that `correct` can run; None for another program."""
+    suffix = "" if table is None else pathlib.Path(table.file).suffix.lower()
+    language = PROGRAM_FORMATS.get(suffix, "")
+    return language.lower() if language in ("KRL", "RAPID") else None
 
 
 def _is_free(table: RobotTable | None) -> bool:

@@ -35,8 +35,9 @@ class OutputSettings(Settings, table="output"):
     """
 
     formats: Formats = key(
-        'formats of the corrected program; ["gcode"] if left out, or ["krl"] if the '
-        "tool tilts, which G-code of X, Y and Z cannot",
+        "formats of the corrected program; if left out that of a KRL or RAPID "
+        'program, else ["gcode"], or ["krl"] if the tool tilts, which G-code of X, Y '
+        "and Z cannot",
         default=("gcode",),
         follows=True,
     )
