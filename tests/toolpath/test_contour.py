@@ -167,3 +167,9 @@ def test_statistics_count_the_rows_that_have_a_weight():
     assert weighted.rms == pytest.approx(np.sqrt((9 + 3 * 16) / 4) * 1e-6)
     for rows in ([True] * 5, [False] * 5):
         assert np.isnan(ContourStatistics.of(error, np.array(rows)).rms)
+
+
+def test_statistics_of_a_traced_error_name_the_formula():
+    rms = lambda error: ContourStatistics.of(error).rms
+    with pytest.raises(TypeError, match="where=is_cutting"):
+        jax.grad(rms)(jnp.ones(3))

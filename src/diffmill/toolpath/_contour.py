@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._arrays import is_traced
 from .._types import BoolSteps, FloatRows3, FloatSteps
 
 Polyline: TypeAlias = Float[Array, "row 3"] | Float[np.ndarray, "row 3"]
@@ -46,8 +47,17 @@ class ContourStatistics(eqx.Module):
         Returns:
             The statistics; NaN where no row counts, or one that does is not finite.
 
+        Raises:
+            TypeError: An argument is traced.
+
         **Differentiability**: runs on the host, not traceable.
         """
+        if is_traced((error, weights)):
+            raise TypeError(
+                "Statistics of a contour error run on the host, but JAX traces it here;"
+                " its rms with a derivative is jnp.sqrt(jnp.mean(contour_error**2, "
+                "where=is_cutting))."
+            )
         size = np.abs(np.asarray(error, np.float64))
         weight = np.ones_like(size) if weights is None else np.asarray(weights, float)
         size, weight = size[weight > 0], weight[weight > 0]
