@@ -232,7 +232,7 @@ def test_the_fastest_feed_within_a_tolerance_is_written(folder, monkeypatch, cap
     assert asked["tolerance"] == pytest.approx(5e-5) and not asked["corrects"]
     assert asked["max_force"] == pytest.approx(100.0)
     said, out = capsys.readouterr().out, folder / "job-feed"
-    assert "fastest: override 1.000; what is next breaks: tolerance" in said
+    assert "; the next larger breaks: tolerance" in said
     assert "beyond the limit: tolerance" in said
     assert (out / "summary.txt").read_text() in said
     assert "the fastest feed by diffmill" in (out / "fastest.ngc").read_text()

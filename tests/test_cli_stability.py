@@ -9,6 +9,7 @@ from slides_job import JOB, with_machine, write_slides_job
 
 from diffmill import sim
 from diffmill.cli import main
+from diffmill.viz import plot_lobes
 
 RPM = math.pi / 30
 
@@ -49,6 +50,28 @@ def test_a_chattering_program_is_told(here, monkeypatch, capsys):
     said = capsys.readouterr().out
     for part in ("CHATTER", "51.2 Hz", "no limit found", "up to 8 mm"):
         assert part in said
+
+
+@pytest.mark.parametrize(
+    ("limit", "label", "drawn"),
+    [
+        ([np.inf, 1e-3], "limit at (1.0, 2.0, -1.0) mm", [np.nan, 1.0]),
+        ([np.inf, np.inf], "no limit up to 8 mm at (1.0, 2.0, -1.0) mm", 2 * [np.nan]),
+    ],
+)
+def test_a_limit_that_was_not_found_has_no_line(limit, label, drawn):
+    lobes = xarray.Dataset(
+        {
+            "limit": (("place", "speed"), [limit]),
+            "depth": ("place", [2e-3]),
+            "position": (("place", "axis"), [[1e-3, 2e-3, -1e-3]]),
+        },
+        coords={"speed": RPM * np.array([6000.0, 8000.0])},
+        attrs={"own_speed_rad_s": RPM * 8000, "deepest_m": 8e-3},
+    )
+    line = plot_lobes(lobes).axes[0].lines[0]
+    assert line.get_label() == label
+    np.testing.assert_allclose(np.asarray(line.get_ydata()), drawn)
 
 
 def test_what_has_no_lobes_is_refused(here, capsys):

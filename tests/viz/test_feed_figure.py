@@ -59,14 +59,14 @@ def test_without_corrections_no_line_and_overrides_below():
 def test_feeds_that_break_a_limit_are_crosses_with_its_name():
     tried = xarray.Dataset(
         {
-            "override": ("trial", [1.0, 1.5, 1.25]),
-            "error": ("trial", [2e-5, 7e-5, np.nan]),
+            "override": ("trial", [1.0, 1.5, 1.25, 2.0]),
+            "error": ("trial", [2e-5, 7e-5, np.nan, 9e-5]),
         },
-        coords={"broken": ("trial", ["", "tolerance", "run"])},
+        coords={"broken": ("trial", ["", "tolerance", "run", "tolerance"])},
     )
     (axes,) = plot_fastest_feed(tried, 5e-5).axes
     curve, *points, limit = axes.lines
-    np.testing.assert_allclose(np.asarray(curve.get_xdata()), [1.0, 1.25, 1.5])
-    assert [one.get_marker() for one in points] == ["o", "x", "x"]
+    np.testing.assert_allclose(np.asarray(curve.get_xdata()), [1.0, 1.25, 1.5, 2.0])
+    assert [one.get_marker() for one in points] == ["o", "x", "x", "x"]
     np.testing.assert_allclose(np.asarray(limit.get_ydata()), 50.0)
-    assert [text.get_text() for text in axes.texts] == ["tolerance", "run"]
+    assert [text.get_text() for text in axes.texts] == ["run", "tolerance"]

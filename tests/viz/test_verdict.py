@@ -305,3 +305,23 @@ def test_the_figures_of_a_path_in_the_air_are_dashes(simulation):
     none = np.zeros(simulation.sizes["step"], bool)
     line = summary(simulation.assign(is_cutting=("step", none))).splitlines()[2]
     assert line.split() == ["predicted", "-", "-", "-", "-"]
+
+
+@pytest.mark.parametrize(
+    ("uncorrected", "words"),
+    [(8e-5, "where the program leaves 80"), (np.nan, "where the program fails on one")],
+)
+def test_a_program_that_fails_on_a_drawn_machine_has_no_number(
+    tmp_path, correction, uncorrected, words
+):
+    said = report(
+        tmp_path,
+        correction.assign_attrs(
+            tolerance_band=1.0,
+            truth_draws=4,
+            truth_rms_median=2e-5,
+            truth_rms_largest=3e-5,
+            truth_rms_uncorrected=uncorrected,
+        ),
+    )
+    assert words in said and "nan" not in said

@@ -145,21 +145,22 @@ def _fastest_lines(job: "Job", found: "FastestFeed") -> list[str]:
     ]
     for one in sorted(found.tried, key=lambda one: one.override):
         mark = f"  beyond the limit: {one.broken}" if one.broken else ""
+        speed = f"{100 * one.joint_speed:.0f}" if job.robot is not None else "-"
         lines.append(
             f"{one.override:10.3f}{one.cycle_time:10.2f}{1e6 * one.error:10.1f}"
-            f"{one.force:10.0f}{100 * one.joint_speed:8.0f}{mark}"
+            f"{one.force:10.0f}{speed:>8}{mark}"
         )
     if found.best is None:
         return [*lines, "no feed that was tried keeps the limits"]
-    why = f"; what is next breaks: {found.limited_by}" if found.limited_by else ""
+    why = f"; the next larger breaks: {found.limited_by}" if found.limited_by else ""
+    time = f"{found.best.cycle_time:.2f} s"
     if found.along is not None:
         low, high = found.along.min(), found.along.max()
-        time = f"{found.best.cycle_time:.2f} s"
         return [
             *lines,
             f"fastest: override along the path {low:.3f} to {high:.3f}, {time}",
         ]
-    return [*lines, f"fastest: override {found.best.override:.3f}{why}"]
+    return [*lines, f"fastest: override {found.best.override:.3f}, {time}{why}"]
 
 
 def _positive(option: str, text: str | None, kind: "QuantityKind") -> float:

@@ -149,7 +149,11 @@ def _page(
     return StudyReport(
         kind="Identification",
         title=f"{file.stem}: {kind.replace('_', ' ')}",
-        asked=(f"Values that {file.name} names, from these measurements:", *asked),
+        asked=(
+            f"Values that {file.name} names, from these measurements:",
+            # Notes have their own section.
+            *(line for line in asked if not line.startswith("note: ")),
+        ),
         verdict=_verdict(report),
         tables=(estimate_table(report.estimates),),
         assumptions=tuple(report.assumptions),

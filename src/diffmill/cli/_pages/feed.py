@@ -20,7 +20,7 @@ _CAPTIONS = {
     "feed": "Contour error over the cycle time, each point with its override; below it "
     "the overrides along the path, where they were tuned.",
     "fastest": "Largest contour error over the override. Dashed: the tolerance; a "
-    "cross breaks the limit beside it.",
+    "cross breaks a limit, which the first one names.",
 }
 
 
@@ -126,7 +126,7 @@ def fastest_report(
     if found.best is not None:
         text_of_next = "the largest that was tried breaks nothing"
         if found.limited_by:
-            text_of_next = f"a larger one breaks the limit of {found.limited_by}"
+            text_of_next = f"the next larger one breaks: {found.limited_by}"
         verdict = Verdict(
             True,
             f"Override {found.best.override:.3f}"

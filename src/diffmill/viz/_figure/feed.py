@@ -119,7 +119,8 @@ def plot_fastest_feed(
         tolerance: Largest contour error that is allowed [m].
 
     Returns:
-        The figure; overrides that break a limit are crosses with its name.
+        The figure; overrides that break a limit are crosses, the first of each limit
+        with its name.
     """
     figure = new_figure(3.2)
     axes = figure.subplots()
@@ -128,13 +129,15 @@ def plot_fastest_feed(
     order = np.argsort(override)
     axes.plot(override[order], 1e6 * error[order], color=GREY, linewidth=0.9)
     style = case_style("corrected"), case_style("uncorrected")
-    for x, y, name in zip(override, 1e6 * error, broken, strict=True):
+    named = set()
+    for k in order:
+        place, name = (override[k], 1e6 * error[k]), broken[k]
         marker = "x" if name else "o"
-        axes.plot(x, y, color=style[bool(name)].colour, marker=marker, markersize=4)
-        if name:
-            axes.annotate(
-                name, (x, y), xytext=(4, 3), textcoords="offset points", fontsize=7
-            )
+        axes.plot(*place, color=style[bool(name)].colour, marker=marker, markersize=4)
+        if name and name not in named:
+            named.add(name)
+            below = {"xytext": (0, -7), "textcoords": "offset points", "va": "top"}
+            axes.annotate(name, place, fontsize=7, ha="center", **below)
     axes.axhline(1e6 * tolerance, color=INK, linewidth=0.8, linestyle=(0, (4, 2)))
     quiet_axes(axes, x="override", y=f"largest contour error [{MICROMETRE}]")
     return figure

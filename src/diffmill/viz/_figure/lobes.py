@@ -21,8 +21,8 @@ def plot_lobes(lobes: "xarray.Dataset") -> "matplotlib.figure.Figure":
         lobes: Dataset of `StabilityLobes`.
 
     Returns:
-        The figure: a line for each place, what all of them allow as an area, and what
-        the program cuts as points.
+        The figure: a line for each place, open where no limit was found, what all of
+        them allow as an area, and what the program cuts as points.
     """
     figure = new_figure(3.6)
     axes = figure.subplots()
@@ -44,8 +44,13 @@ def plot_lobes(lobes: "xarray.Dataset") -> "matplotlib.figure.Figure":
     tips = 1e3 * np.asarray(lobes["position"], np.float64)
     for k, (x, y, z) in enumerate(tips):
         colour = _COLOURS[k % len(_COLOURS)]
-        label = f"limit at ({x:.1f}, {y:.1f}, {z:.1f}) mm"
-        axes.plot(speed, shown[k], color=colour, linewidth=1.2, label=label)
+        place = f"at ({x:.1f}, {y:.1f}, {z:.1f}) mm"
+        is_found = limit[k] <= highest
+        label = f"limit {place}"
+        if not is_found.any():
+            label = f"no limit up to {highest:.3g} mm {place}"
+        line = np.where(is_found, limit[k], np.nan)
+        axes.plot(speed, line, color=colour, linewidth=1.2, label=label)
         axes.plot([own], [depth[k]], "o", color=colour, markersize=5, mec=INK, mew=0.6)
     axes.axvline(own, color=GREY, linewidth=0.8, linestyle=":", label="the program")
     axes.set_ylim(0, 1.03 * highest)

@@ -45,7 +45,7 @@ class StudyReport(eqx.Module):
     Attributes:
         kind: What it is, in a word or two.
         title: Name of what was studied.
-        asked: What was asked and of what, line by line.
+        asked: What was asked, a sentence, and of what, line by line.
         verdict: Whether the answer is to be used, and why.
         tables: Its numbers.
         assumptions: What was assumed, in sentences.
@@ -87,7 +87,8 @@ class StudyReport(eqx.Module):
         """
         folder = Path(out_dir)
         images = [self._image(folder / f"{name}.png") for name in figures]
-        asked = items_html(self.asked)
+        question, *of_what = self.asked
+        asked = f"<p>{escape(question)}</p>{items_html(of_what)}"
         content = {
             "What was asked": asked,
             **self.sections(),

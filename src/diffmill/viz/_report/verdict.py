@@ -272,11 +272,13 @@ def _truth_text(dataset: "xarray.Dataset") -> str:
     )
     if not np.isfinite(largest):
         return " On a machine that [truth] draws about the model the run fails."
+    program = f"leaves {length_text(before)}"
+    if not np.isfinite(before):
+        program = "fails on one of them at least"
     return (
         f" On {dataset.attrs['truth_draws']:.0f} machines with reversal, links, springs"
         f" and forces beside the model ([truth]) it leaves {length_text(median)} "
-        f"rms, {length_text(largest)} on the worst, where the program leaves "
-        f"{length_text(before)}."
+        f"rms, {length_text(largest)} on the worst, where the program {program}."
     )
 
 
