@@ -209,6 +209,24 @@ def test_mirror_removes_a_constant_deviation():
     assert found.forward_runs == 2
 
 
+def test_gauss_newton_tells_the_share_of_its_steps(problem):
+    told, steps = [], []
+    method = GaussNewton(
+        KNOTS,
+        solver=LevenbergMarquardt(max_steps=2),
+        on_step=lambda message, share: told.append((message, share)),
+    )
+    method(problem, on_progress=lambda message, error: steps.append(len(told)))
+    rows = len(problem.desired)
+    messages = [f"Gauss-Newton step {k} over {rows} tooth periods" for k in (1, 2)]
+    assert [x for x in dict.fromkeys(message for message, _ in told)] == messages
+    for message in messages:
+        shares = [share for name, share in told if name == message]
+        assert len(shares) > 1 and shares == sorted(shares) and shares[-1] == 1
+    # The slopes are told before the step is.
+    assert steps[0] == sum(message == messages[0] for message, _ in told)
+
+
 def test_a_plant_that_explodes_is_told_and_does_not_win():
     """Any offset above 10 um makes this plant infinite."""
     _, path, is_cutting = rounded_square(TIME_STEP)

@@ -390,6 +390,7 @@ def _compute(
             on_progress=tell,
             on_run_progress=tell_run,
             on_checkpoint=write_checkpoint,
+            on_step_progress=progress.within,
             resume=checkpoint.resumed,
         )
 

@@ -46,6 +46,7 @@ class Progress:
         # Share done, and when; time for all of the run, at the pace of each step [s].
         self._done, self._paces = (0.0, self._start), list[float]()
         self._message, self._compiling, self._said = "starting", 0, 0.0
+        self._stage = ""
         self._named = set[str]()
         self._is_over = threading.Event()
 
@@ -113,6 +114,25 @@ class Progress:
             return ""
         left = (1 - share) * statistics.median(self._paces)
         return f", about {spelled(left)} left"
+
+    def within(self, message: str, share: float) -> None:
+        """Show how far the present step is; a log that was not silent long does not.
+
+        Args:
+            message: The present step.
+            share: Share of it that is done, 0 to 1.
+        """
+        if self.is_quiet:
+            return
+        if message != self._stage:
+            self._stage, self._paces, self._done = message, [], (0.0, self._said)
+        left = self._remaining_time(share)
+        self._message = f"{100 * share:3.0f} %  {message}{left}"
+        # What comes next has no share: one line of a log is enough for both.
+        self._named.add(self._message)
+        is_due = time.perf_counter() - self._said > _LONGEST_SILENCE
+        if self._console.is_terminal or is_due:
+            self._show(self._message, stays=self.is_verbose)
 
     def begin(self, message: str) -> None:
         """Set the present step, which is shown if it takes long."""

@@ -150,6 +150,7 @@ def correct(
     on_predicted: Callable[[Solution], None] | None = None,
     on_progress: OnProgress | None = None,
     on_run_progress: Callable[[str, float], None] | None = None,
+    on_step_progress: Callable[[str, float], None] | None = None,
     on_checkpoint: OnCheckpoint | None = None,
     resume: Arrays | None = None,
 ) -> Correction:
@@ -179,6 +180,8 @@ def correct(
             method runs.
         on_progress: Called with a message and the rms contour error so far [m].
         on_run_progress: Called as by `simulate`, while the uncorrected program runs.
+        on_step_progress: Called with a message and the share of the present step, while
+            Gauss-Newton computes one.
         on_checkpoint: Called with all that is needed to go on, plain arrays by name:
             after every method, every step of Gauss-Newton on a whole path, and every
             segment of a long one.
@@ -243,6 +246,8 @@ def correct(
         if machines is not None:
             ensemble = job_ensemble(job, task.plant, machines)
             method = dataclasses.replace(method, ensemble=ensemble)
+        if isinstance(method, GaussNewton):
+            method = dataclasses.replace(method, on_step=on_step_progress)
     inverse = None
     if job.robot is not None and start is None:
         # A robot without inertia and damping is one that moves without end slowly.

@@ -1,6 +1,7 @@
 """Correction by least squares on the contour error, with exact derivatives."""
 
 import dataclasses
+from collections.abc import Callable
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -60,6 +61,8 @@ class GaussNewton(AbstractOptimiser):
         limits: Further limits of the coefficients, of the joints for example.
         max_velocity: Largest velocity of the whole command per axis [its unit / s].
         max_acceleration: Largest acceleration of it per axis [its unit / s^2].
+        on_step: Called with a message and the share of the present step, while its
+            slopes are computed.
     """
 
     knot_spacing: float = CorrectionSettings.knot_spacing
@@ -75,6 +78,7 @@ class GaussNewton(AbstractOptimiser):
     limits: tuple[LinearLimits, ...] = ()
     max_velocity: float = np.inf
     max_acceleration: float = np.inf
+    on_step: Callable[[str, float], None] | None = eqx.field(static=True, default=None)
 
     def __call__(
         self,
@@ -116,8 +120,19 @@ class GaussNewton(AbstractOptimiser):
         fit = offset_fit(
             args, plants, weights, limits, is_worst_case=self.is_worst_case
         )
+        begun = None if resume is None else unpack(resume, _ANY_STATE)
+        done = 0 if begun is None else len(begun.history)
+        if self.on_step is not None:
+            tell = self.on_step
+
+            def tell_slopes(share: float) -> None:
+                tell(f"Gauss-Newton step {done + 1} over {rows} tooth periods", share)
+
+            fit = dataclasses.replace(fit, on_slopes=tell_slopes)
 
         def report(state: LeastSquaresState) -> bool:
+            nonlocal done
+            done = len(state.history)
             if on_checkpoint is not None:
                 value = state.value
                 # A run gives the motion again.
@@ -138,7 +153,7 @@ class GaussNewton(AbstractOptimiser):
             self.solver,
             lower=-bound,
             upper=bound,
-            state=None if resume is None else unpack(resume, _ANY_STATE),
+            state=begun,
             callback=report,
         )
         if last is None:

@@ -177,6 +177,7 @@ class OffsetFit(AbstractProblem):
         limits: Limits of the coefficients.
         constraints: Bounds of the outputs, of one member after the other.
         is_worst_case: Whether the largest mean square of a member counts instead.
+        on_slopes: Called with the share of a model's slopes that is computed.
     """
 
     args: ContourResidual
@@ -185,6 +186,7 @@ class OffsetFit(AbstractProblem):
     limits: Sequence[LinearLimits] = ()
     constraints: OutputConstraints = OutputConstraints()
     is_worst_case: bool = eqx.field(static=True, default=False)
+    on_slopes: Callable[[float], None] | None = eqx.field(static=True, default=None)
 
     def coefficients(self, x: Unknowns) -> Float[Array, "coefficient axis"]:
         """Unknowns as coefficients, shape (coefficient, axis)."""
@@ -266,10 +268,11 @@ class OffsetFit(AbstractProblem):
         for plant, weight, error in zip(
             self.plants, self.weights, value.errors, strict=True
         ):
+            done = len(slopes)
             linear = value.linear
             if linear is None:
                 linear = linear_motion(plant, self.command(x))
-            member = self._member_model(linear, x)
+            member = self._member_model(linear, x, done)
             with np.errstate(over="ignore", invalid="ignore"):
                 g, H = member.slopes.T @ member.errors, member.slopes.T @ member.slopes
             if not (np.isfinite(g).all() and np.isfinite(H).all()):
@@ -297,8 +300,16 @@ class OffsetFit(AbstractProblem):
         mean = mean.plus(1.0, shared)
         return QuadraticModel(cost_at, mean.gradient, mean.curvature, tuple(rows))
 
-    def _member_model(self, linear: LinearMotion, x: Unknowns) -> _MemberModel:
-        """Linear model of the residual of a member in all unknowns, block by block."""
+    def _member_model(
+        self, linear: LinearMotion, x: Unknowns, done: int
+    ) -> _MemberModel:
+        """Linear model of the residual of a member in all unknowns, block by block.
+
+        Args:
+            linear: Its linear system.
+            x: The point.
+            done: How many members are done.
+        """
         at = self.coefficients(x)
         # Its solution would make another program.
         motion = Motion(linear.motion.actual, linear.motion.force)
@@ -313,6 +324,9 @@ class OffsetFit(AbstractProblem):
             block = np.minimum(np.arange(first, first + size), x.size - 1)
             errors, slopes = _slopes(linear, at, args, jnp.asarray(block))
             blocks.append(slopes)
+            if self.on_slopes is not None:
+                part = min(first + size, x.size) / x.size
+                self.on_slopes((done + part) / len(self.plants))
         joined = lambda rows: np.concatenate([np.asarray(row) for row in rows])[
             : x.size
         ].T.astype(np.float64)
