@@ -6,6 +6,7 @@ import math
 import os
 import pathlib
 import re
+import textwrap
 from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -250,8 +251,9 @@ def _job_lines(
             "material",
             options.material and json.dumps(options.material),
             '"aluminium_7075_t6"',
-            f"of the work: {', '.join(materials())}",
+            "of the work, one of those below",
         ),
+        *([] if options.material else _comment(", ".join(materials()))),
         "",
         *_stock_lines(options, facts),
         "",
@@ -263,6 +265,11 @@ def _job_lines(
         "# The largest contour error that the part allows: the verdict is held to it.",
         'tolerance_band = "0.1 mm"',
     ]
+
+
+def _comment(text: str) -> list[str]:
+    """Lines of a comment."""
+    return textwrap.wrap(text, 78, initial_indent="#   ", subsequent_indent="#   ")
 
 
 def _line(key: str, value: str | None, example: str, comment: str) -> str:

@@ -1,5 +1,6 @@
 """Reports of what measured parts show, and of what to measure next."""
 
+import dataclasses
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -57,6 +58,12 @@ def learnt_report(
         estimates.append(
             EstimatedValue(one.name, value, scale * one.error, unit, before)
         )
+    known = [one for one in estimates if one.is_known]
+    left = ", ".join(one.name for one in estimates if not one.is_known)
+    table = estimate_table(known)
+    if left:
+        note = f"Not told by these parts, so as before: {left}."
+        table = dataclasses.replace(table, note=note)
     causes = sorted(found.causes().items(), key=lambda one: -one[1])
     verdict = Verdict(
         None,
@@ -64,12 +71,11 @@ def learnt_report(
         "The parts show nothing that the model does not know.",
     )
     if found.is_known_better:
-        known = sum(one.is_known for one in estimates)
         verdict = Verdict(
             True,
             "Learnt",
             f"What the parts show is exp({found.gain:.3g}) times as likely with the "
-            f"machine that was learnt; {known} of {len(estimates)} parameters are "
+            f"machine that was learnt; {len(known)} of {len(estimates)} parameters are "
             "known better than half of what was not known.",
         )
     return StudyReport(
@@ -88,7 +94,7 @@ def learnt_report(
                 tuple((CAUSES[name], f"{1e6 * size:.3g}") for name, size in causes),
                 "Where the tool cuts, each alone.",
             ),
-            estimate_table(estimates),
+            table,
         ),
         assumptions=_ASSUMED,
         notes=(*measured.job.notes, *measured.notes),

@@ -45,13 +45,14 @@ def machine_lines(dataset: "xarray.Dataset", job: Job | None) -> list[str]:
         for axis, along in zip("xyz", ends, strict=True)
     )
     cutter, speed = job.cutter, float(job.spindle_speed) * 30 / np.pi
+    times = " G-code states them as inverse time (G93)."
     lines = [
         f"Load in place of the programmed path: {' or '.join(files)}.",
         f"Zero: that of the program; from there the stock reaches over {block} mm.",
         f"Tool: {2e3 * cutter.nominal_radius:g} mm, {cutter.flute_count} teeth, at "
         f"{speed:.5g} rpm; the coordinates are those of its tip.",
         "The times of the blocks are a part of the correction: an override of the feed "
-        "other than 100 % undoes it. G-code states them as inverse time (G93).",
+        f"other than 100 % undoes it.{times if '.ngc' in job.output.suffixes else ''}",
     ]
     if ".apt" in job.output.suffixes:
         lines.append(
