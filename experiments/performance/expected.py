@@ -26,6 +26,7 @@ VARIANTS = {
     "ball": {"cutter.kind": "ball"},
     "bull": {"cutter.kind": "bull", "cutter.corner_radius": "1 mm"},
     "tool tilts": {"simulation.tool_tilt": "true"},
+    "adaptive": {"simulation.resolution": "adaptive"},
 }
 UNITS = {"s": 1, "min": 60, "h": 3600}
 

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 # of removal by a tilted tool of 50 rays in diameter, by the square of it.
 _ROW, _DISC, _DISC_BY_RAYS = 0.04, 0.13, 0.0016
 _ELEMENT, _TILTED = 0.24, 3.5
+# Of it where several tooth periods share an engagement update [share].
+_ADAPTIVE = 0.65
 # A correction in runs, each of which leaves out the rigid cut: the simpler methods, the
 # first and last runs, and a step of the optimiser [share, count, count].
 _COUPLED, _OTHER_RUNS, _STEP_RUNS = 0.65, 6, 7
@@ -44,7 +46,8 @@ def expected_time_line(job: "Job") -> str:
     from .._padding import LONGEST
 
     run = _run_time(job)
-    text = f"simulate about {spelled(run)}"
+    is_adaptive = job.simulation.resolution == "adaptive"
+    text = f"simulate about {spelled(run * (_ADAPTIVE if is_adaptive else 1))}"
     if job.path.step_count > LONGEST:
         text += f" and {spelled(_analyses_time(job))} of analyses and figures"
     text += f", {_spelled_bytes(_memory(job, 1))}"
