@@ -304,10 +304,11 @@ class Job(eqx.Module):
         if tuple(counts) == self.stock.interval_counts:
             return self
         note = (
-            "[stock] intervals: the rays were given {} intervals along x, y and z, "
-            "since the program needs more than it began with"
+            "[stock] intervals: the rays were given {0} intervals along x, y and z, "
+            "since the program needs more than it began with; intervals = [{0}] "
+            "begins with them, and saves the second start"
         )
-        mark = note.split("{}")[0]
+        mark = note.split("{0}")[0]
         notes = tuple(n for n in self.notes if not n.startswith(mark))
         listed = ", ".join(str(count) for count in counts)
         return dataclasses.replace(
