@@ -97,7 +97,13 @@ _CONDITION = re.compile(
 )
 # Where a routine can put a value back.
 _PLACE = re.compile(r"[A-Z_]\w*(?:\s*[\[.][^()]*)?", re.IGNORECASE)
-_ENDS = {"ENDIF": "if", "ENDWHILE": "while", "ENDFOR": "for", "ENDLOOP": "do"}
+_CONTROL = {
+    **dict.fromkeys(("END", "ENDFCT"), "end routine"),
+    **{word: word.lower() for word in ("RETURN", "IF", "WHILE", "ELSE", "GOTO")},
+    **{f"END{word}": f"end {word.lower()}" for word in ("IF", "WHILE", "FOR")},
+    **dict.fromkeys(("CASE", "DEFAULT"), "case"),
+    **{"SWITCH": "choice", "ENDSWITCH": "end choice", "ENDLOOP": "end do"},
+}
 _LABEL = re.compile(r"([A-Z_]\w*)\s*:", re.IGNORECASE)
 # What cannot change tool, place or arm; whatever is not among it is refused.
 _QUIET_DATA = (
@@ -138,7 +144,7 @@ class _Krl(Language):
     def __init__(self, name: str, setup: ProgramSetup) -> None:
         super().__init__(name, setup)
         self.known = KrlValues(self._missing, self.result_of)
-        self.use(self.known.texts, lambda row, line: _statement(row, line, self))
+        self.use(self.known.texts, lambda row, line: _statement(row, line, self), "==")
         # An upright tool, until the program states an orientation.
         upright = controller_matrix(self.axis, None, self.tool_axis)
         self.upright = dict(zip("ABC", abc_of_rotation(upright), strict=True))
@@ -278,7 +284,7 @@ def _compile(row: str, line: int, reader: _Krl) -> None:
         return
     word = re.split(r"[\s(]", row, maxsplit=1)[0].upper()
     match = _CONDITION.fullmatch(row)
-    value = known.texts.expression(match[2]) if match else None
+    value = match[2] if match else ""
     if routine := _ROUTINE.fullmatch(row):
         if reader.routine:
             code.end_routine(line)
@@ -290,15 +296,8 @@ def _compile(row: str, line: int, reader: _Krl) -> None:
         reader.returned[name] = tuple(one[0] for one in names if one[1:] != ["IN"])
         reader.routine = name
         code.begin_routine(line, name, tuple(one[0] for one in names))
-    elif word in ("END", "ENDFCT"):
-        if reader.routine:
-            code.end_routine(line)
-        reader.routine = ""
-    elif word == "RETURN":
-        reader.let_matter()
-        code.give_back(line, value)
-    elif match and word in ("IF", "WHILE") and value is not None:
-        reader.begin_branch(line, value, is_loop=word == "WHILE")
+    elif reader.compile_control(_CONTROL.get(word, ""), value, line):
+        return
     elif loop := _FOR.fullmatch(row):
         try:
             counter = known.texts.place(loop[1])
@@ -312,27 +311,11 @@ def _compile(row: str, line: int, reader: _Krl) -> None:
         code.begin_for(line, counter, first, last, step)
     elif word in ("REPEAT", "LOOP"):
         code.begin_loop(line, kind="repeat" if word == "REPEAT" else "do")
-    elif match and word == "UNTIL":
-        code.end(line, ("repeat",), again=known.texts.expression(f"NOT ({match[2]})"))
-    elif word == "ELSE":
-        code.otherwise(line)
-    elif word in _ENDS:
-        if word in ("ENDIF", "ENDWHILE"):
-            del reader.branches[-1:]
-        code.end(line, (_ENDS[word],))
+    elif value and word == "UNTIL":
+        code.end(line, ("repeat",), again=known.texts.expression(f"NOT ({value})"))
     elif word == "EXIT":
         reader.let_matter()
         code.leave(line)
-    elif match and word == "SWITCH":
-        reader.choices.append([match[2]])
-    elif word in ("DEFAULT", "CASE") and reader.choices:
-        reader.add_case(match[2] if match else "", line, "==")
-    elif word == "ENDSWITCH" and reader.choices:
-        reader.end_choice(line)
-    elif match and word == "GOTO":
-        reader.let_matter()
-        number = reader.label(match[2])
-        code.jump(line, lambda variables: number, match[2][:30])
     elif label := _LABEL.fullmatch(row):
         code.label(reader.label(label[1]))
     else:

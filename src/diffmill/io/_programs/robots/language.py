@@ -62,8 +62,17 @@ class Language(Reader):
         self.choices: list[list[str]] = []
         self._labels: dict[str, int] = {}
 
-    def use(self, texts: Texts, statement: Callable[[str, int], None]) -> None:
-        """Take the expressions of the language, and what carries out a statement."""
+    def use(
+        self, texts: Texts, statement: Callable[[str, int], None], equal: str
+    ) -> None:
+        """Take the expressions of the language, and what carries out a statement.
+
+        Args:
+            texts: The expressions.
+            statement: Carries out a statement, of its text and its line.
+            equal: Operator that compares two values.
+        """
+        self._equal = equal
         self.texts, self._statement, self._go = texts, statement, self._carry_out_step
         self.machine = Machine(self.code, texts.variables, self.out.name, self.faults)
 
@@ -126,20 +135,51 @@ class Language(Reader):
         """Number of a label."""
         return self._labels.setdefault(name.upper(), len(self._labels))
 
-    def begin_branch(self, line: int, value: Expression, *, is_loop: bool) -> None:
-        """Append the begin of an IF, or of a WHILE."""
-        condition = self.condition_of(line, value)
-        (self.code.begin_loop if is_loop else self.code.begin_if)(line, condition)
-
-    def add_case(self, values: str, line: int, sign: str) -> None:
-        """Append a case of the innermost choice, or the one for all other values.
+    def compile_control(self, kind: str, value: str, line: int) -> bool:
+        """Append a statement of control flow; False if it is none, or incomplete.
 
         Args:
-            values: Values with commas, "" for all others.
+            kind: What the word of the language is; "" for none of these.
+            value: The condition, the values or the label behind it.
             line: Its line.
-            sign: Operator that compares two values.
         """
-        choice = self.choices[-1]
+        code = self.code
+        if kind == "end routine":
+            if self.routine:
+                code.end_routine(line)
+            self.routine = ""
+        elif kind == "return":
+            self.let_matter()
+            code.give_back(line, self.texts.expression(value) if value else None)
+        elif kind in ("if", "while") and value:
+            begin = code.begin_loop if kind == "while" else code.begin_if
+            begin(line, self.condition_of(line, self.texts.expression(value)))
+        elif kind == "else if" and value and self.branches:
+            code.otherwise(line, self.condition(self.texts.expression(value)))
+        elif kind == "else":
+            code.otherwise(line)
+        elif kind in ("end if", "end while", "end for", "end do"):
+            if kind in ("end if", "end while"):
+                del self.branches[-1:]
+            code.end(line, (kind.removeprefix("end "),))
+        elif kind == "choice" and value:
+            self.choices.append([value])
+        elif kind == "case" and self.choices:
+            self._add_case(value, line)
+        elif kind == "end choice" and self.choices:
+            if len(self.choices.pop()) > 1:
+                code.end(line, ("if",))
+        elif kind == "goto" and value:
+            self.let_matter()
+            number = self.label(value)
+            code.jump(line, lambda variables: number, value[:30])
+        else:
+            return False
+        return True
+
+    def _add_case(self, values: str, line: int) -> None:
+        """Append a case of the innermost choice; "" is that for all other values."""
+        choice, sign = self.choices[-1], self._equal
         tests = [
             f"(({choice[0]}) {sign} ({one}))" for one in split_arguments(values) if one
         ]
@@ -149,11 +189,6 @@ class Language(Reader):
         else:
             self.code.otherwise(line, condition)
         choice.append(values)
-
-    def end_choice(self, line: int) -> None:
-        """Append the end of the innermost choice."""
-        if len(self.choices.pop()) > 1:
-            self.code.end(line, ("if",))
 
     def add(self, line: int, row: str) -> None:
         """Append a statement."""

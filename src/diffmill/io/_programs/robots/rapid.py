@@ -67,14 +67,22 @@ _FOR = re.compile(
     r"FOR\s+(\w+)\s+FROM\s+(.+?)\s+TO\s+(.+?)(?:\s+STEP\s+(.+?))?\s+DO", re.IGNORECASE
 )
 _HEAD = re.compile(
-    r"(IF|ELSEIF|WHILE|TEST|CASE)\b\s*(.+?)\s*(?:THEN|DO|:)?", re.IGNORECASE
+    r"(?:IF|ELSEIF|WHILE|TEST|CASE)\b\s*(.+?)\s*(?:THEN|DO|:)?"
+    r"|(?:RETURN|GOTO)\b\s*(.+)",
+    re.IGNORECASE,
 )
 _ROUTINE = re.compile(
     r"(?:LOCAL\s+)?(PROC|FUNC\s+\w+|TRAP)\s+(\w+)\s*(?:\((.*)\))?",
     re.IGNORECASE | re.DOTALL,
 )
 _RECORD = re.compile(r"(?:LOCAL\s+)?RECORD\b", re.IGNORECASE)
-_ENDS = {"ENDIF": "if", "ENDWHILE": "while", "ENDFOR": "for"}
+_CONTROL = {
+    **dict.fromkeys(("ENDPROC", "ENDFUNC", "ENDTRAP"), "end routine"),
+    **{word: word.lower() for word in ("RETURN", "IF", "WHILE", "ELSE", "GOTO")},
+    **{f"END{word}": f"end {word.lower()}" for word in ("IF", "WHILE", "FOR")},
+    **dict.fromkeys(("CASE", "DEFAULT"), "case"),
+    **{"TEST": "choice", "ENDTEST": "end choice", "ELSEIF": "else if"},
+}
 # What a statement without a sign assigns.
 _COUNTS = {"INCR": "{}+1", "DECR": "{}-1", "CLEAR": "0", "ADD": "{}+"}
 _SPEED = re.compile(r"v(\d+)", re.IGNORECASE)
@@ -120,7 +128,7 @@ class _Rapid(Language):
     def __init__(self, name: str, setup: ProgramSetup) -> None:
         super().__init__(name, setup)
         texts = texts_of_rapid(self._missing, self.result_of)
-        self.use(texts, lambda row, line: _statement(row, line, self))
+        self.use(texts, lambda row, line: _statement(row, line, self), "=")
         # Types of variables by name.
         self.kinds: dict[str, str] = {}
         self.records = Records()
@@ -304,13 +312,6 @@ def _compile(row: str, line: int, reader: _Rapid) -> None:
         return
     elif routine := _ROUTINE.fullmatch(row):
         _compile_routine(routine, line, reader)
-    elif word in ("ENDPROC", "ENDFUNC", "ENDTRAP"):
-        if reader.routine:
-            code.end_routine(line)
-        reader.routine = ""
-    elif word == "RETURN":
-        reader.let_matter()
-        code.give_back(line, texts.expression(row[6:]) if row[6:].strip() else None)
     elif word in ("ERROR", "UNDO", "BACKWARD"):
         # Handlers, up to the end of their routine, wait for what does not happen here.
         code.give_back(line)
@@ -319,19 +320,6 @@ def _compile(row: str, line: int, reader: _Rapid) -> None:
         code.plain(line, lambda machine: machine.stop())
     elif loop := _FOR.fullmatch(row):
         _compile_loop(loop, line, reader)
-    elif word == "ELSE":
-        code.otherwise(line)
-    elif word in _ENDS:
-        if word in ("ENDIF", "ENDWHILE"):
-            del reader.branches[-1:]
-        code.end(line, (_ENDS[word],))
-        if word == "ENDFOR" and reader.counters:
-            name = reader.counters.pop()
-            code.plain(line, lambda machine: machine.variables.show(name))
-    elif word == "ENDTEST" and reader.choices:
-        reader.end_choice(line)
-    elif word == "DEFAULT" and reader.choices:
-        reader.add_case("", line, "=")
     elif word == "IF" and not row.upper().endswith("THEN"):
         try:
             condition, rest = texts.split(row[2:])
@@ -341,7 +329,7 @@ def _compile(row: str, line: int, reader: _Rapid) -> None:
         if re.match(r"IF\b", rest, re.IGNORECASE):
             reader.refuse(line, row, "an IF of one line has no other one in it.")
             return
-        reader.begin_branch(line, texts.expression(condition), is_loop=False)
+        reader.compile_control("if", condition, line)
         if rest[:4].upper() == "THEN":
             # A condition of several lines goes on with the statement behind it.
             _compile(rest[4:].strip(), line, reader)
@@ -349,29 +337,25 @@ def _compile(row: str, line: int, reader: _Rapid) -> None:
         _compile(rest, line, reader)
         reader.branches.pop()
         code.end(line, ("if",))
-    elif head := _HEAD.fullmatch(row):
-        value = texts.expression(head[2])
-        if word == "TEST":
-            reader.choices.append([head[2]])
-        elif word == "CASE" and reader.choices:
-            reader.add_case(head[2], line, "=")
-        elif word == "ELSEIF" and reader.branches:
-            code.otherwise(line, reader.condition(value))
-        else:
-            reader.begin_branch(line, value, is_loop=word == "WHILE")
-    elif word == "GOTO" or row.endswith(":"):
-        number = reader.label(row.removesuffix(":").split()[-1])
+    elif reader.compile_control(_CONTROL.get(word, ""), _value_of(row), line):
+        if word == "ENDFOR" and reader.counters:
+            name = reader.counters.pop()
+            code.plain(line, lambda machine: machine.variables.show(name))
+    elif re.fullmatch(r"\w+\s*:", row):
         reader.let_matter()
-        if word == "GOTO":
-            code.jump(line, lambda variables: number, row.split()[-1][:30])
-        else:
-            code.label(number)
+        code.label(reader.label(row[:-1].strip()))
     elif not reader.routine and _DECLARED.fullmatch(row):
         reader.attempt(line, row)
     else:
         if not (_QUIET.fullmatch(row) or word in ("WAITTIME", *reader.pass_over)):
             reader.let_matter()
         reader.add(line, row)
+
+
+def _value_of(row: str) -> str:
+    """Condition, values or label of a statement of control flow; "" without any."""
+    head = _HEAD.fullmatch(row)
+    return "" if head is None else head[1] or head[2]
 
 
 def _compile_record(row: str, line: int, reader: _Rapid) -> None:
