@@ -20,6 +20,7 @@ GROUPS = (
     "lengths",
     "long",
     "adaptive",
+    "apart",
     "batch",
     "process",
     "expected",
