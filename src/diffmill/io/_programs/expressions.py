@@ -233,7 +233,10 @@ def _copied(value: Value) -> Value:
     if isinstance(value, list):
         return [_copied(x) if isinstance(x, _HOLDERS) else x for x in value]
     if isinstance(value, dict):
-        return {name: _copied(part) for name, part in value.items()}
+        # Most parts of a place are numbers.
+        return {
+            n: _copied(x) if isinstance(x, _HOLDERS) else x for n, x in value.items()
+        }
     return value
 
 
