@@ -112,8 +112,8 @@ class AbstractEngagement(eqx.Module):
         pose: Pose,
         earlier: Pose,
         decimated: Pose,
-    ) -> Float[Array, "angle 6"]:
-        """Return force and moment on the tool at the angles of one sub-step.
+    ) -> Float[Array, "angle 7"]:
+        """Return the loads of the tool at the angles of one sub-step.
 
         Args:
             process: The process.
@@ -125,8 +125,8 @@ class AbstractEngagement(eqx.Module):
 
         Returns:
             Force on the tool in `work` [N], then its moment about the tip by levers
-            along the axis [N m], shape (angle, 6); their mean is that of the sub-step.
-            What turns the tool about its axis is the spindle's.
+            along the axis [N m], then the torque that the spindle needs [N m], shape
+            (angle, 7); their mean is that of the sub-step.
 
         Differentiability: kinks where the deciding earlier pose changes and where a
         chip ends; the edge force changes smoothly there.

@@ -139,10 +139,10 @@ class BottomEdges(eqx.Module):
         tooth = jnp.broadcast_to(tooth, angles.shape)
         return BottomSamples(outward, tooth, total)
 
-    def force(
+    def wrench(
         self, process: Process, samples: BottomSamples, pose: Pose, earlier: Pose
-    ) -> Float[Array, "angle 3"]:
-        """Return the force of the bottom edges at the angles of one sub-step.
+    ) -> Float[Array, "angle 7"]:
+        """Return the loads of the bottom edges at the angles of one sub-step.
 
         F_r of the law of the bottom pushes along the axis.
 
@@ -154,7 +154,7 @@ class BottomEdges(eqx.Module):
                 (before, 3).
 
         Returns:
-            Force on the tool in `work` [N], shape (angle, 3).
+            As `AbstractEngagement.wrench`; their force has no lever along the axis.
 
         Differentiability: kinks where the deciding earlier pose changes.
         """
@@ -177,11 +177,14 @@ class BottomEdges(eqx.Module):
         teeth = jnp.broadcast_to(samples.tooth[..., None], h.shape)
         F_t, F_r, F_a = process.bottom_law.force_per_width(h, touch, teeth)
         share = weight * width
+        none = jnp.zeros(weight.shape[0], tip.dtype)
         return jnp.stack(
             [
                 jnp.sum(share * (-F_t * e.cos + F_a * e.sin), axis=(1, 2)),
                 jnp.sum(share * (F_t * e.sin + F_a * e.cos), axis=(1, 2)),
                 jnp.sum(share * F_r, axis=(1, 2)),
+                *3 * [none],
+                jnp.sum(share * radius[None, None] * F_t, axis=(1, 2)),
             ],
             axis=-1,
         )

@@ -242,8 +242,8 @@ class DexelCloud(AbstractEngagement):
         pose: Pose,
         earlier: Pose,
         decimated: Pose,
-    ) -> Float[Array, "angle 6"]:
-        """Return force and moment on the tool at the angles of one sub-step."""
+    ) -> Float[Array, "angle 7"]:
+        """Return the loads of the tool at the angles of one sub-step."""
         chip = self.chip(process, samples, pose, earlier, decimated)
         newest = earlier.tip[0] - pose.tip
         feed, step = safe_norm(newest[:2]), 2 * math.pi / self.angles

@@ -186,8 +186,8 @@ class EdgeElementsInSpace(AbstractEngagement):
         pose: Pose,
         earlier: Pose,
         decimated: Pose,
-    ) -> Float[Array, "angle 6"]:
-        """Force and moment on the tool at the angles of one sub-step.
+    ) -> Float[Array, "angle 7"]:
+        """Loads of the tool at the angles of one sub-step.
 
             F = sum over teeth and elements of o b (-F_t t - F_r n + F_a (t x n))
             M = sum over teeth and elements of l z x F
@@ -268,7 +268,9 @@ class EdgeElementsInSpace(AbstractEngagement):
         force = jnp.stack(along[:3], axis=-1) @ frame.T
         moment = jnp.stack([*along[3:], jnp.zeros_like(F_z[:, 0, 0])], axis=-1)
         moment = moment @ frame.T
-        return jnp.concatenate([force, moment], axis=-1)
+        radius = elements.radius[None, None]
+        torque = jnp.sum(share * radius * F_t, axis=(1, 2))
+        return jnp.concatenate([force, moment, torque[:, None]], axis=-1)
 
     def chip(
         self,

@@ -133,8 +133,8 @@ class UprightFlat(AbstractEngagement):
         pose: Pose,
         earlier: Pose,
         decimated: Pose,
-    ) -> Float[Array, "angle 6"]:
-        """Force and moment on the tool at the angles of one sub-step."""
+    ) -> Float[Array, "angle 7"]:
+        """Loads of the tool at the angles of one sub-step."""
         cutter, outward = process.cutter, samples.outward
         tip, old = pose.tip, earlier.tip
         chip, per_travel = _chip(process, tip, old, decimated.tip, outward)
@@ -162,8 +162,7 @@ class UprightFlat(AbstractEngagement):
         wrench = wrench_of_discs(process, samples, chip, touch)
         if self.bottom is None or samples.bottom is None:
             return wrench
-        force = self.bottom.force(process, samples.bottom, pose, earlier)
-        return wrench + jnp.pad(force, ((0, 0), (0, 3)))
+        return wrench + self.bottom.wrench(process, samples.bottom, pose, earlier)
 
     def chip(
         self,
@@ -201,15 +200,16 @@ def wrench_of_discs(
     samples: EdgeSamples,
     chip: Float[Array, "angle leading element"],
     touch: Float[Array, "angle leading element"],
-) -> Float[Array, "angle 6"]:
-    """Force and moment on the tool from the chips of its discs.
+) -> Float[Array, "angle 7"]:
+    """Loads of the tool from the chips of its discs.
 
         F = sum over teeth and discs of o b (-F_t t - F_r e + F_a z)
         M = sum over teeth and discs of z_d z x F
+        T = sum over teeth and discs of o b R F_t
 
     # symbols: o occupancy, b width of the edge in a disc, z_d height of a disc, F_t,
-    F_r, F_a forces per width, t = (cos, -sin, 0) along and e = (sin, cos, 0) outward of
-    the cut at the immersion angle, z tool axis
+    F_r, F_a forces per width, R radius, t = (cos, -sin, 0) along and e = (sin, cos, 0)
+    outward of the cut at the immersion angle, z tool axis
 
     Args:
         process: The process.
@@ -238,7 +238,8 @@ def wrench_of_discs(
     lever = discs.centers(chip.dtype)[None, None]
     moment = jnp.sum(jnp.stack([-lever * F_y, lever * F_x]), axis=(2, 3))
     none = jnp.zeros_like(force[:1])
-    return jnp.concatenate([force, moment, none]).T
+    torque = cutter.diameter / 2 * jnp.sum(F_t, axis=(1, 2))
+    return jnp.concatenate([force, moment, none, torque[None]]).T
 
 
 def _chip(

@@ -18,6 +18,7 @@ _ROWS = {
     "commanded": ("m", "tip position that the program commands, without gravity sag"),
     "actual": ("m", "actual tip position"),
     "force": ("N", "force on the tool in work, mean over the tooth period before"),
+    "spindle_torque": ("N m", "torque of the spindle, mean over the period before"),
     "removed_volume": ("m3", "volume that the pose removes"),
     "shank_volume": ("m3", "what of it the shank above the flutes takes"),
     "deviation": ("m", "actual - desired"),

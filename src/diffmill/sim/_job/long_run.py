@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float, PyTree
 
 from ..._arrays import on_device
-from ..._types import FloatRows, FloatRows3
+from ..._types import FloatRows, FloatRows3, FloatSteps
 from ...numerics import CachedJit
 from ...robot import Controller
 from ...workpiece import Pose, Stock
@@ -59,14 +59,14 @@ class LongRun(NamedTuple):
         machine = Rigid(chip_row=on_device(np.asarray(chip_row, np.int32)))
         tips, axes = np.asarray(tips), self.problem.axes
         axes = None if axes is None else np.asarray(axes)
-        force, force_range = _no_force(tips)
+        none = _no_loads(tips)
         rows = PathRows(
             lambda segment, _: (_path_piece(tips, axes, segment), None),
-            (force, force_range),
-            lambda told, ran: (ran.force, ran.force_range),
+            none,
+            lambda told, ran: _loads(ran),
         )
         ran = self._run(machine, len(tips), rows)
-        return self._whole(ran, (tips, tips[:, None], force, force_range, None))
+        return self._whole(ran, (tips, tips[:, None], *none, None))
 
     def follow(
         self, finished: Stock, tips: FloatRows3, motors: FloatRows | None
@@ -88,7 +88,7 @@ class LongRun(NamedTuple):
             rows = (
                 np.zeros_like(tips),
                 np.zeros((len(tips), substeps, 3), tips.dtype),
-                *_no_force(tips),
+                *_no_loads(tips),
                 np.zeros_like(motors) if is_arm else None,
             )
             told, updates = np.array(motors), None
@@ -96,8 +96,7 @@ class LongRun(NamedTuple):
                 updates = EngagementUpdates.none(len(tips), tips.dtype)
 
             def of_segment(command: PyTree, ran: RunSegment) -> PyTree:
-                force = ran.force, ran.force_range
-                out = ran.actual, ran.ends, *force, ran.joint_positions
+                out = ran.actual, ran.ends, *_loads(ran), ran.joint_positions
                 return out, command, ran.engagement_updates
 
             command = _commands(problem, np.asarray(motors))
@@ -120,8 +119,9 @@ class LongRun(NamedTuple):
         return run_in_segments(machine, self.problem.process, segments, rows, self.plan)
 
     def _whole(self, ran: SegmentedRun, rows: PyTree) -> Run:
-        """The run with its rows: tips, ends, forces, their range, and joints."""
-        actual, ends, force, force_range, joints = jax.tree.map(on_device, rows)
+        """The run with its rows: tips, ends, `_loads`, and joints."""
+        rows = jax.tree.map(on_device, rows)
+        actual, ends, force, force_range, torque, joints = rows
         period = float(self.problem.process.tooth_period)
         return Run(
             time=on_device(period * np.arange(len(actual), dtype=actual.dtype)),
@@ -129,6 +129,7 @@ class LongRun(NamedTuple):
             ends=ends,
             force=force,
             force_range=force_range,
+            spindle_torque=torque,
             joint_positions=joints,
             initial_overlap_volume=ran.initial_overlap_volume,
             removal=ran.removal,
@@ -136,11 +137,23 @@ class LongRun(NamedTuple):
         )
 
 
-def _no_force(
-    tips: Float[np.ndarray, "step 3"],
-) -> tuple[Float[np.ndarray, "step 3"], Float[np.ndarray, "step 2 3"]]:
-    """Mean forces and their range in all rows, before they are known."""
-    return np.zeros_like(tips), np.zeros((len(tips), 2, 3), tips.dtype)
+class _Loads(NamedTuple):
+    """Loads of the tool in some rows, as of `Run`."""
+
+    force: FloatRows3
+    force_range: Float[Array, "step 2 3"] | Float[np.ndarray, "step 2 3"]
+    spindle_torque: FloatSteps
+
+
+def _loads(ran: RunSegment) -> _Loads:
+    """Loads in the rows of a segment."""
+    return _Loads(ran.force, ran.force_range, ran.spindle_torque)
+
+
+def _no_loads(tips: Float[np.ndarray, "step 3"]) -> _Loads:
+    """Loads in all rows, before they are known."""
+    ranges = np.zeros((len(tips), 2, 3), tips.dtype)
+    return _Loads(np.zeros_like(tips), ranges, np.zeros(len(tips), tips.dtype))
 
 
 def _path_piece(

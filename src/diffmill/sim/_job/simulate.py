@@ -71,6 +71,8 @@ class Solution(eqx.Module):
         force: Mean force on the tool over the period before [N], shape (step, 3).
         force_range: Least and largest force at any angle of that period [N], shape
             (step, 2, 3); its derivative is zero.
+        spindle_torque: Mean torque that the spindle needs over that period [N m], shape
+            (step,); times the spindle speed it is the power. Its derivative is zero.
         removed_volume: Volume that each pose removes [m^3], shape (step,).
         shank_volume: What of it the shank above the flutes takes [m^3], shape (step,).
         surface_deviation: Actual - desired at the instant, in the period before, at
@@ -104,6 +106,7 @@ class Solution(eqx.Module):
     actual: Float[Array, "step 3"]
     force: Float[Array, "step 3"]
     force_range: Float[Array, "step 2 3"]
+    spindle_torque: Float[Array, " step"]
     removed_volume: Float[Array, " step"]
     shank_volume: Float[Array, " step"]
     surface_deviation: Float[Array, "step 3"]
@@ -194,6 +197,7 @@ class Solution(eqx.Module):
             actual=job.path.disturbed(ran.actual),
             force=ran.force,
             force_range=ran.force_range,
+            spindle_torque=ran.spindle_torque,
             removed_volume=ran.removed_volume,
             shank_volume=ran.shank_volume,
             surface_deviation=walls.deviation,

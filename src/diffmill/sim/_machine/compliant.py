@@ -163,6 +163,7 @@ class AbstractInertialMachine(AbstractCompliant):
             ends=substeps.ends,
             force=jnp.mean(substeps.loads[:, :3], axis=0),
             force_range=substeps.whole_range(),
+            spindle_torque=jnp.mean(substeps.spindle_torque),
             joint_positions=self.joint_positions(state.machine),
             removed=removed,
             has_failed=cutting.has_failed,

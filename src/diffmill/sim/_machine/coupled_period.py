@@ -161,7 +161,9 @@ class CoupledPeriod(eqx.Module):
         ends = jnp.broadcast_to(tip[None], predicted.tip.shape)
         loads = jnp.zeros((ends.shape[0], self.load_count), ends.dtype)
         none = jnp.zeros((ends.shape[0], 2, 3), ends.dtype)
-        return LoadedSubsteps(predicted.tip, predicted.tip, ends, loads, none)
+        return LoadedSubsteps(
+            predicted.tip, predicted.tip, ends, loads, none, none[:, 0, 0]
+        )
 
     def run(
         self, start: PyTree, rows: SubstepRow, predicted: Pose, cut: Engagement
@@ -184,7 +186,8 @@ class CoupledPeriod(eqx.Module):
         end, moved = _run(fixed, arrays)
         ends = jax.vmap(self.dynamics.tip)(moved.end)
         tips = predicted.tip, moved.tip, ends
-        return end, LoadedSubsteps(*tips, moved.load, moved.force_range)
+        unfelt = moved.force_range, moved.spindle_torque
+        return end, LoadedSubsteps(*tips, moved.load, *unfelt)
 
     def run_with_updates(
         self,
@@ -249,12 +252,14 @@ class _MovedSubstep(NamedTuple):
             takes that, shape (*substep, load).
         force_range: Least and largest force at any angle [N], shape (*substep, 2, 3);
             without derivative.
+        spindle_torque: That the spindle needs [N m], shape (*substep,), likewise.
     """
 
     tip: Float[Array, "*substep 3"]
     end: PyTree
     load: Float[Array, "*substep load"]
     force_range: Float[Array, "*substep 2 3"] | None = None
+    spindle_torque: Float[Array, "*substep"] | None = None
 
 
 class _PeriodInputs(eqx.Module):
@@ -271,14 +276,14 @@ class _PeriodInputs(eqx.Module):
         """Mean load F of a sub-step whose tips are known [N], [N m]."""
         return self.mean(self.wrench(row, tip, earlier))
 
-    def mean(self, wrench: Float[Array, "angle 6"]) -> Float[Array, " load"]:
-        """Mean load of a sub-step, from force and moment at its angles."""
+    def mean(self, wrench: Float[Array, "angle 7"]) -> Float[Array, " load"]:
+        """Mean load of a sub-step on the machine, from those at its angles."""
         return jnp.mean(wrench, axis=0)[: self.coupled.load_count]
 
     def wrench(
         self, row: SubstepRow, tip: Float[Array, " 3"], earlier: Pose
-    ) -> Float[Array, "angle 6"]:
-        """Force and moment at the angles of a sub-step [N], [N m].
+    ) -> Float[Array, "angle 7"]:
+        """Loads of the tool at the angles of a sub-step [N], [N m].
 
         Args:
             row: The sub-step.
@@ -337,7 +342,8 @@ def _run(fixed: _PeriodInputs, arrays: _PeriodInputs) -> tuple[PyTree, _MovedSub
         end = dynamics.step(before.state, row.time, load)
         force = wrench[:, :3]
         force_range = jnp.stack([jnp.min(force, axis=0), jnp.max(force, axis=0)])
-        moved = _MovedSubstep(tip, end, load, force_range)
+        torque = jnp.mean(wrench[:, 6])
+        moved = _MovedSubstep(tip, end, load, force_range, torque)
         return before._replace(state=end), moved
 
     begun = _Before.of(given.start, given.rows)
@@ -446,7 +452,10 @@ def _run_jvp(fixed: _PeriodInputs, primals: Any, tangents: Any) -> tuple[Any, An
         own_load=own_loads,
     )
     last, changes = jax.lax.scan(substep, _Before.of(start, given.rows), rows)
-    changes = changes._replace(force_range=jnp.zeros_like(moved.force_range))
+    changes = changes._replace(
+        force_range=jnp.zeros_like(moved.force_range),
+        spindle_torque=jnp.zeros_like(moved.spindle_torque),
+    )
     return (end, moved), (last.state, changes)
 
 

@@ -110,6 +110,7 @@ class LoadedSubsteps(eqx.Module):
             the tip [N m], shape (*substep, load).
         force_range: Least and largest force at any angle in `work` [N], shape
             (*substep, 2, 3).
+        spindle_torque: Mean torque that the spindle needs [N m], shape (*substep,).
     """
 
     predicted: Float[Array, "*substep 3"]
@@ -117,6 +118,7 @@ class LoadedSubsteps(eqx.Module):
     ends: Float[Array, "*substep 3"]
     loads: Float[Array, "*substep load"]
     force_range: Float[Array, "*substep 2 3"]
+    spindle_torque: Float[Array, "*substep"]
 
     def whole_range(self) -> Float[Array, "2 3"]:
         """Least and largest force at any angle of the period [N], shape (2, 3)."""
@@ -132,6 +134,7 @@ class Period(eqx.Module):
         ends: Tips at the ends of its sub-steps [m], shape (substep, 3).
         force: Mean force on the tool in `work` [N], shape (3,).
         force_range: Least and largest force at any angle sample [N], shape (2, 3).
+        spindle_torque: Mean torque that the spindle needs [N m], shape ().
         joint_positions: At its start [rad or m], shape (joint,); None without joints.
         removed: Volumes of the poses removed at its start.
         has_failed: Whether a flag of the process is up.
@@ -145,6 +148,7 @@ class Period(eqx.Module):
     ends: Float[Array, "substep 3"]
     force: Float[Array, " 3"]
     force_range: Float[Array, "2 3"]
+    spindle_torque: Float[Array, ""]
     joint_positions: Float[Array, " joint"] | None
     removed: RemovedVolume
     has_failed: Bool[Array, ""]
@@ -301,6 +305,7 @@ class AbstractMachine(eqx.Module):
             ends=all_ends(periods),
             force=prepend_zeros(periods.force),
             force_range=prepend_zeros(periods.force_range),
+            spindle_torque=prepend_zeros(periods.spindle_torque),
             joint_positions=_at_instants(periods.joint_positions, joints, last),
             initial_overlap_volume=overlap,
             removal=PendingRemoval(
@@ -392,6 +397,7 @@ class AbstractMachine(eqx.Module):
             ends=all_ends(periods),
             force=prepend_zeros(periods.force),
             force_range=prepend_zeros(periods.force_range),
+            spindle_torque=prepend_zeros(periods.spindle_torque),
             joint_positions=_at_instants(periods.joint_positions, joints, last),
             removed=dataclasses.replace(removed, pose=removed.pose - start),
             has_failed=periods.has_failed,
@@ -546,6 +552,8 @@ class Run(eqx.Module):
             [N], shape (step, 3); zero in row 0.
         force_range: Least and largest force at any angle sample of that period [N],
             shape (step, 2, 3); its derivative is zero.
+        spindle_torque: Mean torque that the spindle needs over that period [N m], shape
+            (step,); its derivative is zero.
         joint_positions: [rad or m], shape (step, joint); None without joints.
         initial_overlap_volume: Stock inside the tool at the first pose [m^3].
         removal: Volumes, final stock and outcome, or the poses that still wait.
@@ -561,6 +569,7 @@ class Run(eqx.Module):
     ends: Float[Array, "step substep 3"]
     force: Float[Array, "step 3"]
     force_range: Float[Array, "step 2 3"]
+    spindle_torque: Float[Array, " step"]
     joint_positions: Float[Array, "step joint"] | None
     initial_overlap_volume: Float[Array, ""]
     removal: Removal | PendingRemoval
@@ -614,6 +623,7 @@ class Run(eqx.Module):
             run.ends,
             run.force,
             run.force_range,
+            run.spindle_torque,
             run.joint_positions,
             run.instantaneous_force,
         )
@@ -641,6 +651,7 @@ class RunSegment(eqx.Module):
     ends: Float[Array, "step substep 3"]
     force: Float[Array, "step 3"]
     force_range: Float[Array, "step 2 3"]
+    spindle_torque: Float[Array, " step"]
     joint_positions: Float[Array, "step joint"] | None
     removed: RemovedVolume
     has_failed: Bool[Array, " period"]

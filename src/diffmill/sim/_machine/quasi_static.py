@@ -135,18 +135,21 @@ class QuasiStaticArm(AbstractCompliant):
         tips, ends = bend.reached(end, middles), bend.reached(end, last)
         cutting = cutting.ended(tips, ends)
         loads = jnp.broadcast_to(end.load[None], (middles.size, size))
-        force_range = if_valid(
-            row.is_live,
-            lambda: substep_ranges(
-                period_wrench(process, cut, tips, recent), middles.size
-            ),
+
+        def unfelt() -> tuple[Array, Array]:
+            wrench = jax.lax.stop_gradient(period_wrench(process, cut, tips, recent))
+            torque = jnp.mean(wrench[:, 6].reshape(middles.size, -1), axis=1)
+            return substep_ranges(wrench, middles.size), torque
+
+        moved = LoadedSubsteps(
+            predicted.tip, tips.tip, ends.tip, loads, *if_valid(row.is_live, unfelt)
         )
-        moved = LoadedSubsteps(predicted.tip, tips.tip, ends.tip, loads, force_range)
         return RunState(cutting, end, state.period_count), Period(
             tip=start.pose.tip,
             ends=ends.tip,
             force=end.load[:3],
             force_range=moved.whole_range(),
+            spindle_torque=jnp.mean(moved.spindle_torque),
             joint_positions=start.q,
             removed=removed,
             has_failed=cutting.has_failed,

@@ -190,6 +190,7 @@ class Rigid(AbstractMachine):
             ends=poses.ends.tip,
             force=jnp.mean(samples, axis=0),
             force_range=force_range,
+            spindle_torque=jax.lax.stop_gradient(jnp.mean(wrench[:, 6])),
             joint_positions=None,
             removed=removed,
             has_failed=cutting.has_failed,
@@ -199,12 +200,12 @@ class Rigid(AbstractMachine):
 
 
 def substep_ranges(
-    wrench: Float[Array, "sample 6"], substeps: int
+    wrench: Float[Array, "sample 7"], substeps: int
 ) -> Float[Array, "substep 2 3"]:
     """Least and largest force in each sub-step [N], without derivative.
 
     Args:
-        wrench: Force and moment at all angles of the period.
+        wrench: Loads at all angles of the period.
         substeps: Sub-steps of the period.
     """
     force = jax.lax.stop_gradient(wrench[:, :3]).reshape(substeps, -1, 3)
@@ -235,8 +236,8 @@ def _turn_chips(
 
 def period_wrench(
     process: Process, cut: Engagement, middles: Pose, recent: Pose
-) -> Float[Array, "sample 6"]:
-    """Return force and moment at all angles of a period whose poses are known.
+) -> Float[Array, "sample 7"]:
+    """Return the loads at all angles of a period whose poses are known.
 
     Args:
         process: The process.
@@ -253,7 +254,7 @@ def period_wrench(
     )
     earlier = process.earlier(recent, middles)
     # What the forces come from is computed again rather than kept.
-    return jax.checkpoint(wrench)(cut.samples, middles, earlier).reshape(-1, 6)
+    return jax.checkpoint(wrench)(cut.samples, middles, earlier).reshape(-1, 7)
 
 
 def simulate_process(
