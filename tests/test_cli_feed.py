@@ -215,28 +215,30 @@ def test_feed_of_a_job(folder, capsys):
 def test_the_fastest_feed_within_a_tolerance_is_written(folder, monkeypatch, capsys):
     asked = {}
 
-    def fastest(job, tolerance, *, max_force, corrects, knots, on_progress):
-        asked.update(tolerance=tolerance, max_force=max_force, corrects=corrects)
+    def fastest(job, tolerance, *, corrects, knots, on_progress, **limits):
+        asked.update(tolerance=tolerance, corrects=corrects, **limits)
         assert knots == 0
         on_progress("override 1", 0.0)
         tried = (
-            correction.TriedFeed(1.0, 5.0, 2e-5, 90.0, 0.3, ""),
-            correction.TriedFeed(1.5, 4.0, 7e-5, 99.0, 0.5, "tolerance"),
+            correction.TriedFeed(1.0, 5.0, 2e-5, 90.0, 350.0, 0.3, ""),
+            correction.TriedFeed(1.5, 4.0, 7e-5, 99.0, 420.0, 0.5, "tolerance"),
         )
         path = retime(job.path, 1.0)
         return correction.FastestFeed(tried, tried[0], "tolerance", path)
 
     monkeypatch.setattr(correction, "fastest_feed", fastest)
     command = ["feed", "job.toml", "--tolerance", "50 um", "--max-force", "100 N"]
-    assert main(command) == 0
+    assert main([*command, "--max-power", "0.5 kW"]) == 0
     assert asked["tolerance"] == pytest.approx(5e-5) and not asked["corrects"]
     assert asked["max_force"] == pytest.approx(100.0)
+    assert asked["max_power"] == pytest.approx(500.0)
     said, out = capsys.readouterr().out, folder / "job-feed"
     assert "; the next larger breaks: tolerance" in said
-    assert "beyond the limit: tolerance" in said
+    assert "beyond the limit: tolerance" in said and "       350" in said
     assert (out / "summary.txt").read_text() in said
     assert "the fastest feed by diffmill" in (out / "fastest.ngc").read_text()
     page = (out / "report.html").read_text()
+    assert "a power of 0.5 kW" in page and "largest power [W]" in page
     assert "<b>Override 1.000.</b>" in page and page.count("<img ") == 1
     for part in ("a contour error of 50 um", "a force of 100 N", "Assumptions"):
         assert part in page
@@ -254,6 +256,8 @@ def test_the_fastest_feed_within_a_tolerance_is_written(folder, monkeypatch, cap
         (["--tolerance", "0 mm"], "--tolerance: found 0 mm"),
         (["--tolerance", "1 mm", "--max-force", "-1 N"], "--max-force: found -1 N"),
         (["--max-force", "100 N"], "without --tolerance"),
+        (["--max-power", "2 kW"], "--max-power: found without --tolerance"),
+        (["--tolerance", "1 mm", "--max-power", "2 kN"], "a power"),
         (["--along", "9"], "--along: found without --tolerance"),
         (["--tolerance", "1 mm", "--along", "1"], "--along: found 1, but 0 or 2"),
     ],

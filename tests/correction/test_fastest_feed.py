@@ -1,4 +1,4 @@
-"""The largest feed within a tolerance, a force and the speeds of joints."""
+"""The largest feed within a tolerance, a force, a power and the speeds of joints."""
 
 import dataclasses
 
@@ -36,7 +36,7 @@ def test_the_next_faster_feed_breaks_the_limit_that_is_named(job):
 
 
 @pytest.mark.slow
-def test_speeds_of_joints_and_forces_are_limits(job):
+def test_speeds_of_joints_forces_and_power_are_limits(job):
     assert job.robot is not None
     feed = 0.05
     speeds = np.array([1.2 * feed, 1.2 * feed, 10.0])
@@ -49,6 +49,10 @@ def test_speeds_of_joints_and_forces_are_limits(job):
     held = fastest_feed(job, 1.0, max_force=1.05 * force)
     assert held.limited_by == "force"
     assert held.best is not None and held.best.force <= 1.05 * force
+    power = float(dm.simulate(job).spindle_torque.max() * job.spindle_speed)
+    held = fastest_feed(job, 1.0, max_power=1.05 * power)
+    assert held.limited_by == "power"
+    assert held.best is not None and power < held.best.power <= 1.05 * power
 
 
 @pytest.mark.slow
@@ -73,5 +77,9 @@ def test_what_has_no_fastest_feed_is_refused(job):
         fastest_feed(job, 1e-5, knots=1)
     with pytest.raises(ValueError, match="must have a soft machine"):
         fastest_feed(dataclasses.replace(job, robot=None), 1e-5)
-    with pytest.raises(ValueError, match="must be positive"):
+    with pytest.raises(ValueError, match="`tolerance` must be positive"):
         fastest_feed(job, 0.0)
+    with pytest.raises(ValueError, match="`max_power` must be positive"):
+        fastest_feed(job, 1e-5, max_power=-1.0)
+    with pytest.raises(ValueError, match="`highest` must not be below `lowest`"):
+        fastest_feed(job, 1e-5, lowest=2.0, highest=1.0)

@@ -75,6 +75,14 @@ def full_run(tmp_path_factory, correction):
     return figures, write_report(folder, told, figures, surfaces=maps)
 
 
+def test_the_power_is_the_torque_times_the_speed_where_the_tool_cuts(correction):
+    assert np.isnan(case_numbers(correction, "mirror").power_maximum)
+    torque = np.where(correction["is_cutting"], 0.5, 9.0)
+    known = correction.assign(spindle_torque=("step", torque))
+    known = known.assign_attrs(spindle_speed=800.0)
+    assert case_numbers(known, "mirror").power_maximum == 400.0
+
+
 def test_headline_numbers_match_numpy(correction):
     numbers = case_numbers(correction, "mirror")
     cutting = correction["is_cutting"].values

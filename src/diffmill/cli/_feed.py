@@ -85,15 +85,17 @@ def _fastest(
 ) -> int:
     """Find the fastest feed within a tolerance, and write it; return the exit code."""
     from ..correction import fastest_feed
-    from ..units import FORCE, LENGTH
+    from ..units import FORCE, LENGTH, POWER
 
     tolerance = _positive("--tolerance", request.tolerance, LENGTH)
-    largest = _positive("--max-force", request.max_force, FORCE)
+    most_force = _positive("--max-force", request.max_force, FORCE)
+    most_power = _positive("--max-power", request.max_power, POWER)
     with progress, bad_correction(job.name, "that the feed could change"):
         found = fastest_feed(
             job,
             tolerance,
-            max_force=largest,
+            max_force=most_force,
+            max_power=most_power,
             corrects=request.correct,
             knots=request.along,
             on_progress=progress.update,
@@ -112,6 +114,7 @@ def _fastest(
     write_results(folder, with_job(tried, job), files=files, force=force)
     limits = [f"a contour error of {request.tolerance}"]
     limits += [f"a force of {request.max_force}"] if request.max_force else []
+    limits += [f"a power of {request.max_power}"] if request.max_power else []
     limits += ["the speeds of the joints"] if job.robot is not None else []
     page = fastest_report(job, found, tuple(limits), "\n".join(lines))
 
@@ -140,15 +143,17 @@ def _with_pictures(folder: pathlib.Path, draw: Callable[[pathlib.Path], object])
 def _fastest_lines(job: "Job", found: "FastestFeed") -> list[str]:
     """Table of the feeds that were tried, and the best of them."""
     lines = [
-        f"{job.name}: largest contour error [um], force [N] and joint speed [%]",
-        f"{'override':>10}{'time [s]':>10}{'error':>10}{'force':>10}{'speed':>8}",
+        f"{job.name}: largest contour error [um], force [N], power of the spindle [W] "
+        "and joint speed [%]",
+        f"{'override':>10}{'time [s]':>10}{'error':>10}{'force':>10}{'power':>10}"
+        f"{'speed':>8}",
     ]
     for one in sorted(found.tried, key=lambda one: one.override):
         mark = f"  beyond the limit: {one.broken}" if one.broken else ""
         speed = f"{100 * one.joint_speed:.0f}" if job.robot is not None else "-"
         lines.append(
             f"{one.override:10.3f}{one.cycle_time:10.2f}{1e6 * one.error:10.1f}"
-            f"{one.force:10.0f}{speed:>8}{mark}"
+            f"{one.force:10.0f}{one.power:10.0f}{speed:>8}{mark}"
         )
     if found.best is None:
         return [*lines, "no feed that was tried keeps the limits"]
@@ -243,18 +248,23 @@ def _check(job: "Job", file: pathlib.Path, request: "FeedRequest") -> None:
         )
     if job.commanded is not None:
         raise JobError(file, [ONLY_SIMULATE])
-    from ..units import FORCE, LENGTH
+    from ..units import FORCE, LENGTH, POWER
 
     _positive("--tolerance", request.tolerance, LENGTH)
     _positive("--max-force", request.max_force, FORCE)
+    _positive("--max-power", request.max_power, POWER)
     if request.along == 1 or request.along < 0:
         raise BadInput(
             f"--along: found {request.along}, but 0 or 2 and more are allowed"
         )
     if request.along and request.tolerance is None:
         raise BadInput("--along: found without --tolerance, with which it counts")
-    if request.max_force is not None and request.tolerance is None:
-        raise BadInput("--max-force: found without --tolerance, with which it counts")
+    for option, limit in (
+        ("--max-force", request.max_force),
+        ("--max-power", request.max_power),
+    ):
+        if limit is not None and request.tolerance is None:
+            raise BadInput(f"{option}: found without --tolerance, with which it counts")
     for name, values in (
         ("--overrides", request.overrides),
         ("--weights", request.weights),

@@ -339,6 +339,7 @@ def _figures(
             "deviation_rms": case.deviation_rms,
             "force_mean": case.force_mean,
             "force_maximum": case.force_maximum,
+            "power_maximum": case.power_maximum,
             "removed_volume": case.removed_volume,
         }
         known = {k: v if math.isfinite(v) else None for k, v in figures.items()}
@@ -389,8 +390,8 @@ def _compute(
             on_predicted=on_predicted,
             on_progress=tell,
             on_run_progress=tell_run,
-            on_checkpoint=write_checkpoint,
             on_step_progress=progress.within,
+            on_checkpoint=write_checkpoint,
             resume=checkpoint.resumed,
         )
 
@@ -399,6 +400,7 @@ def with_job(dataset: Dataset, job: "Job") -> Dataset:
     """Dataset whose attributes hold the job's name, text and notes."""
     added: dict[str, Any] = {
         "job": job.name,
+        "spindle_speed": float(job.spindle_speed),
         "source": job.source,
         "program": job.program,
     }

@@ -30,6 +30,7 @@ class CaseNumbers(eqx.Module):
         deviation_rms: Root mean square length of the deviation over those steps [m].
         force_mean: Mean over the steps that cut of the force's length [N].
         force_maximum: Largest length of the tooth-mean force [N].
+        power_maximum: Largest power of the spindle, as the mean of a tooth period [W].
         removed_volume: Sum of the removed volume [m^3].
     """
 
@@ -38,6 +39,7 @@ class CaseNumbers(eqx.Module):
     deviation_rms: float
     force_mean: float
     force_maximum: float
+    power_maximum: float
     removed_volume: float
 
 
@@ -159,6 +161,7 @@ def case_numbers(dataset: "xarray.Dataset", case: str) -> CaseNumbers:
         return length[cutting & np.isfinite(length)]
 
     force = ContourStatistics.of(finite_lengths("force"))
+    speed = float(dataset.attrs.get("spindle_speed", np.nan))
     volume = np.full(1, np.nan)
     if "removed_volume" in dataset:
         volume = values_of(dataset, "removed_volume", case)
@@ -168,6 +171,9 @@ def case_numbers(dataset: "xarray.Dataset", case: str) -> CaseNumbers:
         deviation_rms=ContourStatistics.of(finite_lengths("deviation")).rms,
         force_mean=force.mean,
         force_maximum=force.max,
+        power_maximum=speed * np.max(finite_lengths("spindle_torque"), initial=0.0)
+        if "spindle_torque" in dataset
+        else np.nan,
         removed_volume=float(np.nansum(volume))
         if np.isfinite(volume).any()
         else np.nan,

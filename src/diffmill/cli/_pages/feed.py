@@ -108,6 +108,7 @@ def fastest_report(
             f"{one.cycle_time:.2f}",
             _micrometres(one.error),
             f"{one.force:.0f}" if np.isfinite(one.force) else "-",
+            f"{one.power:.0f}" if np.isfinite(one.power) else "-",
             f"{100 * one.joint_speed:.0f}" if one.joint_speed else "-",
             one.broken or "-",
         )
@@ -118,6 +119,7 @@ def fastest_report(
         "time [s]",
         "largest error [um]",
         "largest force [N]",
+        "largest power [W]",
         "joint speed [%]",
         "breaks",
     )

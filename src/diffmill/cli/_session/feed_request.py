@@ -17,6 +17,7 @@ class FeedRequest:
         tolerance: Largest contour error, with its unit, for the fastest feed that keeps
             it; None for the table of the factors.
         max_force: Largest force of that feed, with its unit, or None.
+        max_power: Largest power of the spindle, likewise.
         along: Knots of an override of that feed that varies along the path; 0 for one.
     """
 
@@ -44,6 +45,12 @@ class FeedRequest:
     max_force: Annotated[
         str | None,
         tyro.conf.arg(help='With --tolerance: largest force, such as "300 N".'),
+    ] = None
+    max_power: Annotated[
+        str | None,
+        tyro.conf.arg(
+            help='With --tolerance: largest power of the spindle, such as "4 kW".'
+        ),
     ] = None
     along: Annotated[
         int,

@@ -31,15 +31,17 @@ class TriedFeed(NamedTuple):
         cycle_time: Time of the program [s].
         error: Largest contour error where the tool cuts [m].
         force: Largest force, as the mean of a tooth period [N].
+        power: Largest power of the spindle, as the mean of a tooth period [W].
         joint_speed: Largest speed of a joint over what it can; 0 without a limit.
-        broken: Limit that it breaks: "tolerance", "force" or "joint speed"; empty for
-            none, and "run" where the simulation fails.
+        broken: Limit that it breaks: "tolerance", "force", "power" or "joint speed";
+            empty for none, and "run" where the simulation fails.
     """
 
     override: float
     cycle_time: float
     error: float
     force: float
+    power: float
     joint_speed: float
     broken: str
 
@@ -72,6 +74,7 @@ class FastestFeed(eqx.Module):
             "cycle_time": "s",
             "error": "m",
             "force": "N",
+            "power": "W",
             "joint_speed": "1",
         }
         columns = {
@@ -92,13 +95,14 @@ def fastest_feed(
     tolerance: float,
     *,
     max_force: float = np.inf,
+    max_power: float = np.inf,
     corrects: bool = False,
     lowest: float = 0.2,
     highest: float = 3.0,
     knots: int = 0,
     on_progress: OnShare | None = None,
 ) -> FastestFeed:
-    """Find the largest override of a program that keeps tolerance, force and drives.
+    """Find the largest override of a program that keeps tolerance, loads and drives.
 
     The error grows with the feed where the tool cuts; the override is found within 2 %
     by bisection, each trial a simulation, or a correction. An override that varies
@@ -113,6 +117,7 @@ def fastest_feed(
         job: The job; its machine must not be rigid.
         tolerance: Largest contour error that is allowed [m].
         max_force: Largest force, as the mean of a tooth period [N].
+        max_power: Largest power of the spindle, likewise [W].
         corrects: Whether the error is that of the corrected program.
         lowest: Smallest override that is tried.
         highest: Largest one.
@@ -132,16 +137,24 @@ def fastest_feed(
     """
     if job.is_rigid:
         raise ValueError("Argument `job` must have a soft machine, but it is rigid.")
-    if not (0 < lowest <= highest and tolerance > 0 and max_force > 0):
+    limits = {
+        "tolerance": tolerance,
+        "max_force": max_force,
+        "max_power": max_power,
+        "lowest": lowest,
+    }
+    for name, limit in limits.items():
+        if not limit > 0:
+            raise ValueError(f"Argument `{name}` must be positive, but is {limit:g}.")
+    if highest < lowest:
         raise ValueError(
-            "Arguments `tolerance`, `max_force` and `lowest` must be positive and "
-            f"`highest` not below `lowest`, but are {tolerance:g}, {max_force:g}, "
-            f"{lowest:g} and {highest:g}."
+            f"Argument `highest` must not be below `lowest`, but they are {highest:g} "
+            f"and {lowest:g}."
         )
     if knots == 1 or knots < 0:
         raise ValueError(f"Argument `knots` must be 0 or at least 2, but is {knots}.")
     report = on_progress or (lambda message, share: None)
-    search = _Search(job, tolerance, max_force, corrects)
+    search = _Search(job, tolerance, max_force, max_power, corrects)
     good, bad, override = 0.0, np.inf, min(max(1.0, lowest), highest)
     tried: list[TriedFeed] = []
     while True:
@@ -185,6 +198,7 @@ class _Search(NamedTuple):
     job: Job
     tolerance: float
     max_force: float
+    max_power: float
     corrects: bool
 
     def room(
@@ -218,19 +232,22 @@ class _Search(NamedTuple):
         try:
             run = self._run(job)
         except SimulationFailed:
-            return TriedFeed(mean, time, np.nan, np.nan, speed, "run")
+            return TriedFeed(mean, time, np.nan, np.nan, np.nan, speed, "run")
         cuts = np.asarray(run.is_cutting)
         if not cuts.any():
             raise NothingToCorrect(NEVER_CUTS)
         error = float(run.contour.max)
         force = float(np.linalg.norm(np.asarray(run.force)[cuts], axis=1).max())
+        torque = float(np.asarray(run.spindle_torque)[cuts].max())
+        power = torque * float(job.spindle_speed)
         limits = {
             "tolerance": error > self.tolerance,
             "force": force > self.max_force,
+            "power": power > self.max_power,
             "joint speed": speed > 1,
         }
         broken = next((name for name, is_broken in limits.items() if is_broken), "")
-        return TriedFeed(mean, time, error, force, speed, broken)
+        return TriedFeed(mean, time, error, force, power, speed, broken)
 
     def _with(self, override: "float | Float[np.ndarray, ' knot']") -> Job:
         """Job whose path has an override."""

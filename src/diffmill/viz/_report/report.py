@@ -285,6 +285,7 @@ def _result_blocks(dataset: "xarray.Dataset") -> list[str]:
             _um(item.deviation_rms),
             number_text(item.force_mean),
             number_text(item.force_maximum),
+            number_text(item.power_maximum),
             number_text(item.removed_volume * 1e9),
         ]
         for item in numbers
@@ -301,6 +302,7 @@ def _result_blocks(dataset: "xarray.Dataset") -> list[str]:
             f"deviation rms [{MICROMETRE}]",
             "mean force [N]",
             "max force [N]",
+            "max power [W]",
             "removed [mm\u00b3]",
         ],
         rows,
