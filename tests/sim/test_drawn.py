@@ -52,6 +52,16 @@ def test_a_draw_of_no_size_is_the_model(job):
     np.testing.assert_allclose(found.median("program"), wanted, rtol=1e-6)
 
 
+def test_a_machine_may_need_more_intervals_than_the_model(job):
+    thin = job.with_intervals((1, 1, 1))
+    tips = np.asarray(job.path.positions)
+    rigid = dm.sim.rigid_cut(thin.with_precision(), dm.process.FrozenStock())
+    assert bool(rigid.result == dm.RESULTS.interval_overflow)
+    found = dm.sim.TrueErrors.of_commands(thin, NONE, {"program": tips})
+    wanted = dm.simulate(job).contour.rms
+    np.testing.assert_allclose(found.median("program"), wanted, rtol=1e-6)
+
+
 def test_a_draw_has_the_sizes_that_are_asked_for(job):
     sizes = dataclasses.replace(
         NONE, stiffness=0.1, links=1e-3, force=0.2, force_bias=0.5, friction=2e-5

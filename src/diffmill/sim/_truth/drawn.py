@@ -16,7 +16,7 @@ from ...process import FrozenStock
 from ...settings.correction import UncertaintySettings
 from ...settings.truth import TruthSettings
 from ...toolpath import ContourStatistics
-from .._job.simulate import Solution, rigid_cut
+from .._job.simulate import Solution, rigid_cut, simulate_with_slot_growth
 from .machine_errors import MachineErrors, drawn_errors
 from .mismatched import nominal_robot
 
@@ -99,6 +99,11 @@ class TrueErrors(eqx.Module):
                 run = Solution.of_command(
                     machine, rigid, jnp.asarray(command), FrozenStock()
                 )
+                if bool(run.result == RESULTS.interval_overflow):
+                    # Beside the model a ray may break into more pieces.
+                    run = simulate_with_slot_growth(
+                        machine, jnp.asarray(command), FrozenStock(), lambda *_: None
+                    ).solution
                 if bool(run.result == RESULTS.successful):
                     cuts = np.asarray(run.is_cutting)
                     rms[name][draw] = ContourStatistics.of(run.contour_error, cuts).rms
