@@ -229,3 +229,28 @@ def test_chatter_is_told_before_anything_is_corrected_and_its_failure_stops_noth
     monkeypatch.setattr(correction, "correct", correct)
     assert main(["correct", "job.toml"]) == 1
     assert "interrupted" in capsys.readouterr().err
+
+
+def test_a_long_step_logs_its_share_and_the_time_left(folder, monkeypatch, capsys):
+    (folder / "job.toml").write_text(JOB.replace("[robot]\nrigid = true\n", ELASTIC))
+    begun = time.perf_counter() + 1e3
+    now = [begun]
+
+    def correct(job, *, on_step_progress, **_):
+        monkeypatch.setattr(time, "perf_counter", lambda: now[0])
+        for second in range(1, 21):
+            now[0] = begun + second
+            on_step_progress("step 1 over 900 tooth periods", second / 40)
+        # Another step begins anew.
+        now[0] += 20.0
+        on_step_progress("step 2 over 900 tooth periods", 0.5)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(correction, "correct", correct)
+    assert main(["correct", "job.toml"]) == 1
+    said = capsys.readouterr().err
+    # A line where it was silent for eight seconds, not for each part.
+    shares = re.findall(r"(\d+) %  step 1 over 900 tooth periods(.*)", said)
+    assert 2 <= len(shares) <= 3
+    assert re.fullmatch(r", about 2\d s left", shares[-1][1])
+    assert "50 %  step 2 over 900 tooth periods\n" in said
