@@ -9,7 +9,8 @@ import jax
 from jax.custom_batching import custom_vmap
 from jax.custom_derivatives import SymbolicZero
 
-_P, _T = ParamSpec("_P"), TypeVar("_T")
+_P = ParamSpec("_P")
+_T = TypeVar("_T")
 
 
 def batched_in_turn(function: Callable[_P, _T]) -> Callable[_P, _T]:
@@ -30,6 +31,9 @@ def batched_in_turn(function: Callable[_P, _T]) -> Callable[_P, _T]:
     does without this.
     """
 
+    # Which arguments these are is checked where they come in.
+    call: Callable[..., _T] = function
+
     @functools.wraps(function)
     def in_turn(*args: _P.args, **keywords: _P.kwargs) -> _T:
         arrays, rest = eqx.partition((args, keywords), eqx.is_array)
@@ -38,7 +42,7 @@ def batched_in_turn(function: Callable[_P, _T]) -> Callable[_P, _T]:
 
         def plain(*leaves: Any) -> Any:
             args, keywords = eqx.combine(jax.tree.unflatten(tree, leaves), rest)
-            found, other = eqx.partition(function(*args, **keywords), eqx.is_array)
+            found, other = eqx.partition(call(*args, **keywords), eqx.is_array)
             others[:] = [other]
             return found
 
