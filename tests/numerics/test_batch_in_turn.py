@@ -46,6 +46,7 @@ def test_what_is_not_batched_stays_one_for_all():
     assert_allclose(found, [0.125, 1.0], rtol=1e-14)
     alone = run(jnp.asarray(1.0))
     assert alone["power"] == "cube" and alone["number"].tolist() == [1, 2]
+    assert isinstance(alone["number"], jax.Array)
 
 
 @pytest.mark.parametrize("derivative", [jax.grad, jax.jacfwd, jax.jacrev])

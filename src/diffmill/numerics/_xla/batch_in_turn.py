@@ -6,6 +6,7 @@ from typing import Any, ParamSpec, TypeVar
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 from jax.custom_batching import custom_vmap
 from jax.custom_derivatives import SymbolicZero
 
@@ -46,7 +47,9 @@ def batched_in_turn(function: Callable[_P, _T]) -> Callable[_P, _T]:
             others[:] = [other]
             return found
 
-        return eqx.combine(_in_turn(plain)(*leaves), others[0])
+        # Outside of `jit` JAX gives constants back as arrays of NumPy.
+        found = jax.tree.map(jnp.asarray, _in_turn(plain)(*leaves))
+        return eqx.combine(found, others[0])
 
     return in_turn
 
