@@ -17,9 +17,9 @@ from diffmill.examples import copy_example
 
 # Command, example, and the seconds of wall clock to reach: first, second process.
 COMMANDS = (
-    ("simulate", "paper_small", 15, 4),
-    ("correct", "paper_small", 45, 22),
-    ("correct", "paper", 90, 45),
+    ("simulate", "paper_small", 20, 3.5),
+    ("correct", "tiny", 20, 10),
+    ("correct", "paper", 38, 12),
 )
 # Runs of the machine that the optimiser may take, beside one of the inverse drive.
 RUNS = 20

@@ -78,7 +78,7 @@ def measure(report: Report) -> None:
     step = steps_of(
         report, f"{all_rows} rows, linear run", tip_problem(whole), run_time(whole)
     )
-    report.figure("a step of Gauss-Newton", step, 6, "runs")
+    report.figure("a step of Gauss-Newton", step, 4.5, "runs")
 
 
 def exactness(
