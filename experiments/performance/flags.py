@@ -1,7 +1,7 @@
 """A run and a gradient with small loops as functions, and as lists of operations.
 
-Printed is also what a run gains that is one function as a whole. Flags count for a whole
-process. So processes compile the same programs, and take turns; what is compared is
+Printed is also what a run gains that is one function as a whole. Flags count for a
+process: three of them compile the same programs and take turns, and what is compared is
 their processor time.
 """
 
