@@ -109,17 +109,20 @@ def _from_workers(client: Any, tasks: list[Task]) -> Iterator[tuple[Task, JobRec
     """Yield each task with its record; "lost" where its workers died."""
     from distributed import as_completed
 
-    futures = {
-        client.submit(run_task, task, key=f"job-{task.digest}", pure=False): task
-        for task in tasks
-    }
-    for future in as_completed(list(futures)):
-        task = futures.pop(future)
-        if future.status == "finished":
-            yield task, future.result()
-            continue
-        message = f"the job has no answer: {future.exception()}"
-        yield task, JobRecord(status="lost", message=message, figures={}, seconds=0.0)
+    # The others find in the shared cache what the first one compiles.
+    for batch in (tasks[:1], tasks[1:]):
+        futures = {
+            client.submit(run_task, task, key=f"job-{task.digest}", pure=False): task
+            for task in batch
+        }
+        for future in as_completed(list(futures)):
+            task = futures.pop(future)
+            if future.status == "finished":
+                yield task, future.result()
+                continue
+            message = f"the job has no answer: {future.exception()}"
+            record = JobRecord(status="lost", message=message, figures={}, seconds=0.0)
+            yield task, record
 
 
 def _cores() -> int:
