@@ -1,10 +1,12 @@
 """Campaigns: what varies, what is kept, and that nothing is lost or done twice."""
 
+import contextlib
 import importlib.util
 import math
 import pathlib
 import sys
 import textwrap
+import types
 from typing import Any
 
 import numpy as np
@@ -288,17 +290,93 @@ def test_a_changed_file_makes_another_job(folder):
     assert "no such file" not in message
 
 
-def test_changed_data_of_a_krl_program_make_another_job(folder):
-    (folder / "neither.src").write_text("DEF neither( )\nLIN XP1\nEND\n")
-    data = "DEFDAT neither\nDECL E6POS XP1={{X {},Y 0,Z 0,A 0,B 0,C 180}}\nENDDAT\n"
-    text = REFUSED.replace('"none.ngc", "neither.ngc"', '"neither.src"')
-    campaign = plan(text, folder)
-    keys = []
-    for place in ("nowhere", "elsewhere", "elsewhere"):
-        (folder / "neither.dat").write_text(data.format(place))
+@pytest.mark.parametrize(
+    ("program", "beside"),
+    [
+        ("part.ngc", "O1234.nc"),
+        ("part.ngc", "hole.ngc"),
+        ("part.src", "part.dat"),
+        ("part.src", "SIDE.src"),
+        ("part.src", "side.DAT"),
+        ("part.mod", "tools.sys"),
+        ("part.mod", "other.mod"),
+    ],
+)
+def test_a_changed_file_beside_the_program_makes_another_job(folder, program, beside):
+    (folder / program).write_text("nothing\n")
+    part = folder / beside
+    text = REFUSED.replace('"none.ngc", "neither.ngc"', f'"{program}"')
+    campaign, counts = plan(text, folder), []
+    for content in ("one", "two", "two"):
+        part.write_text(content)
         run_campaign(campaign, "out", workers=0)
-        keys.append(sorted(file.name for file in (folder / "out" / "jobs").iterdir()))
-    assert len(keys[0]) == 1 and len(keys[1]) == len(keys[2]) == 2
+        counts.append(len(list((folder / "out" / "jobs").iterdir())))
+    assert counts == [1, 2, 2]
+    # What no reader opens counts for nothing: other files, links out of the folder.
+    (folder / "notes.txt").write_text("three")
+    (folder / "path.csv").write_text("three")
+    (folder / "far").mkdir()
+    (folder / "far" / "far.ngc").write_text("three")
+    (folder / "link.ngc").symlink_to(folder / "far" / "far.ngc")
+    run_campaign(campaign, "out", workers=0)
+    assert len(list((folder / "out" / "jobs").iterdir())) == 2
+
+
+def test_sizes_and_times_stand_for_programs_too_large_to_hash(folder):
+    text = REFUSED.replace('"none.ngc", "neither.ngc"', '"neither.src"')
+    campaign, large = plan(text, folder), folder / "large.src"
+    for size, count in ((2_000_000_000, 1), (2_000_000_000, 1), (2_000_000_001, 2)):
+        if not large.exists() or large.stat().st_size != size:
+            with large.open("wb") as file:
+                file.truncate(size)
+        run_campaign(campaign, "out", workers=0)
+        assert len(list((folder / "out" / "jobs").iterdir())) == count
+
+
+class StandInFuture:
+    """A future of a stand-in for Dask, whose task has not run."""
+
+    def __init__(self, run, task):
+        self.run, self.task, self.status = run, task, "pending"
+
+    def result(self):
+        return self.run(self.task)
+
+    def exception(self):
+        return KeyError("of the worker")
+
+
+@pytest.mark.parametrize("first", ["finished", "error"])
+def test_the_first_job_compiles_before_the_others_start(folder, monkeypatch, first):
+    order = []
+
+    class StandInClient(contextlib.nullcontext):
+        def submit(self, run, task, **options):
+            order.append("start")
+            return StandInFuture(run, task)
+
+        def __enter__(self):
+            return self
+
+    def as_completed(futures):
+        for future in futures:
+            future.status = first if order == ["start"] else "finished"
+            order.append("end")
+            yield future
+
+    dask = types.ModuleType("distributed")
+    dask.__dict__.update(Client=StandInClient, as_completed=as_completed)
+    dask.__dict__.update(LocalCluster=lambda **options: contextlib.nullcontext())
+    monkeypatch.setitem(sys.modules, "distributed", dask)
+    text = REFUSED.replace('"neither.ngc"', '"neither.ngc", "no.ngc"')
+    dataset = run_campaign(plan(text, folder), "out", workers=2)
+    assert order == ["start", "end", "start", "start", "end", "end"]
+    refused, lost = 2, 3
+    assert dataset.status.values.tolist() == [
+        lost if first == "error" else refused,
+        refused,
+        refused,
+    ]
 
 
 def test_a_folder_of_something_else_is_left_alone(folder, capsys):

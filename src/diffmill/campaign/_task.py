@@ -32,6 +32,10 @@ class JobRecord(TypedDict):
 # Memory mappings from which on compiled programs are dropped. Each takes some tens, and
 # Linux allows a process 65,530: one more ends it in the compiler.
 _MOST_MAPPINGS = 30_000
+# Suffixes of subprograms, modules and data that a program reads from its folder.
+_PARTS = {*PROGRAM_FORMATS, ".dat", ".sys"} - {".csv"}
+# Size of these up to which contents are hashed; sizes and times stand for more [bytes].
+_MOST_BYTES = 1_000_000_000
 
 
 class Task(NamedTuple):
@@ -83,23 +87,15 @@ def _digest(
     campaign: Campaign, changes: dict[str, object], known: dict[pathlib.Path, str]
 ) -> str:
     """Return a hash of a job's text, of the files that it names, and of the version."""
-    tables = campaign.changed(changes)
-    texts = _texts(tables)
-    paths = [pathlib.PurePath(name) for name in texts]
-    # The data of a KRL program is read with it.
-    data_files = [
-        str(path.with_suffix(".dat"))
-        for path in paths
-        if PROGRAM_FORMATS.get(path.suffix.lower()) == "KRL"
-    ]
-    files = {
-        name: _content(campaign.job.parent / name, known)
-        for name in (*texts, *data_files)
-    }
+    tables, folder = campaign.changed(changes), campaign.job.parent
+    contents = {name: _content(folder / name, known) for name in _texts(tables)}
+    for name in _texts(tables.get("program", {})):
+        if pathlib.PurePath(name).suffix.lower() in _PARTS:
+            contents[f"beside {name}"] = _beside((folder / name).parent, known)
     content = {
         "command": campaign.command,
         "tables": tables,
-        "files": {name: digest for name, digest in files.items() if digest},
+        "files": {name: digest for name, digest in contents.items() if digest},
         "version": metadata.version("diffmill"),
     }
     text = json.dumps(content, sort_keys=True)
@@ -128,6 +124,29 @@ def _content(path: pathlib.Path, known: dict[pathlib.Path, str]) -> str:
             # The text is no name of a file, but a quantity or a choice.
             pass
     return known[path]
+
+
+def _beside(folder: pathlib.Path, known: dict[pathlib.Path, str]) -> str:
+    """Hash of all files that a program may read from its own folder."""
+    key = folder / "*"
+    if key not in known:
+        # As the readers, it follows no link out of the folder.
+        files = [
+            one
+            for one in (sorted(folder.iterdir()) if folder.is_dir() else ())
+            if one.suffix.lower() in _PARTS
+            and one.is_file()
+            and one.resolve().parent == folder.resolve()
+        ]
+        stats = [one.stat() for one in files]
+        if sum(stat.st_size for stat in stats) <= _MOST_BYTES:
+            marks = [_content(one, known) for one in files]
+        else:
+            marks = [f"{stat.st_size} {stat.st_mtime_ns}" for stat in stats]
+        names = [one.name for one in files]
+        text = json.dumps(list(zip(names, marks, strict=True)))
+        known[key] = hashlib.sha256(text.encode()).hexdigest()
+    return known[key]
 
 
 def run_task(task: Task) -> JobRecord:
