@@ -89,6 +89,22 @@ def test_no_link_leads_out_of_the_folder(read, tmp_path):
         read(name="c.src", c__src="DEF c()\nout()\nEND\n")
 
 
+def test_no_link_leads_to_a_module_out_of_the_folder(read, tmp_path):
+    place = "[[{},0,9],[0,1,0,0],[0,0,0,0],[9E9,9E9,9E9,9E9,9E9,9E9]]"
+    steps = [f"MoveL {place.format(x)},v50,fine,tool0;" for x in (0, 9)]
+    rows = ["MODULE out", "PROC side()", *steps, "ENDPROC", "ENDMODULE"]
+    side = "\n".join(rows)
+    main = "MODULE m\nPROC main()\nside;\nENDPROC\nENDMODULE\n"
+    (tmp_path / "out.mod").write_text(side)
+    (tmp_path / "programs").mkdir()
+    link = tmp_path / "programs" / "out.mod"
+    link.symlink_to(tmp_path / "out.mod")
+    with pytest.raises(ProgramError, match=r"m\.mod, line 3"):
+        read(name="m.mod", m__mod=main)
+    link.unlink()
+    assert len(read(name="m.mod", m__mod=main, out__mod=side).moves) == 2
+
+
 PART = "G21 G90 F600\nG0 X0 Y0 Z5\n{}\nG0 X9\nM2\n"
 
 

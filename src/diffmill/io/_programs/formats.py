@@ -95,13 +95,13 @@ def _rapid(text: str, path: pathlib.Path, setup: ProgramSetup) -> Program:
     except ProgramError:
         beside = [
             one
-            for one in sorted(path.parent.iterdir())
+            for one in Folder(path.parent).files.values()
             if one.suffix.lower() in (*RAPID, ".sys") and one.name != path.name
         ]
         if not beside or len(beside) > _MOST_MODULES:
             raise
         try:
-            texts = {one.name: read_text(one) for one in beside if one.is_file()}
+            texts = {one.name: read_text(one) for one in beside}
             return parse_rapid(text, name=path.name, setup=setup, modules=texts)
         except ProgramError:
             # What is wrong with this module says more than what is with them all.

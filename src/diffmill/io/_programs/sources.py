@@ -22,12 +22,11 @@ class Folder:
     path: pathlib.Path | None = None
 
     @functools.cached_property
-    def _files(self) -> dict[str, pathlib.Path]:
-        """Files by name in lower case."""
+    def files(self) -> dict[str, pathlib.Path]:
+        """Files by name in lower case; those to which a link leads out are none."""
         path = self.path
         if path is None:
             return {}
-        # No link leads out of the folder.
         files = [one for one in sorted(path.iterdir()) if one.is_file()]
         files = [one for one in files if one.resolve().parent == path.resolve()]
         return {one.name.lower(): one for one in files}
@@ -43,10 +42,10 @@ class Folder:
         return next((file for one in names if (file := self._file(one))), None)
 
     def _file(self, name: str) -> pathlib.Path | None:
-        exact = self._files.get(name.lower())
+        exact = self.files.get(name.lower())
         if self.path is not None and exact is not None:
             same = self.path / name
-            return same if same in self._files.values() else exact
+            return same if same in self.files.values() else exact
         return exact
 
 
