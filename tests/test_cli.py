@@ -342,6 +342,17 @@ def test_check_and_convert_take_what_a_program_leaves_to_the_control(folder, cap
     assert "--program are for programs" in capsys.readouterr().err
 
 
+def test_check_passes_over_the_calls_that_are_named(folder, capsys):
+    moves = "LIN {X 0,Y 0,Z 5,A 0,B 0,C 180}\nLIN {X 9,Y 0,Z 5,A 0,B 0,C 180}\n"
+    text = f"DEF part()\n$VEL.CP=0.1\nSPINDLE_ON(8000)\n{moves}END\n"
+    (folder / "part.src").write_text(text)
+    assert main(["check", "part.src"]) == 2
+    assert "SPINDLE_ON" in capsys.readouterr().err
+    named = ["--program", 'pass_over = ["SPINDLE_ON"]']
+    assert main(["check", "part.src", *named]) == 0
+    assert "SPINDLE_ON" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     ("target", "words"),
     [

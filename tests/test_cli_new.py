@@ -139,3 +139,35 @@ def test_a_recorded_path_needs_no_acceleration(here, capsys):
     assert main(["new", "path.csv"]) == 0
     text = (here / "path.toml").read_text()
     assert "acceleration" not in text and 'file = "path.csv"' in text
+
+
+def test_what_the_program_leaves_to_the_control_goes_into_the_job(program, capsys):
+    text = program.read_text().replace("G21", "M88\nG21", 1)
+    program.write_text(text)
+    assert main(["new", "part.ngc", *ANSWERED]) == 2
+    assert "M88" in capsys.readouterr().err
+    line = 'pass_over = ["M88"]'
+    assert main(["new", "part.ngc", *ANSWERED, "--program", line]) == 0
+    assert f"\n{line}\n" in program.with_suffix(".toml").read_text()
+    assert dm.load_job(program.with_suffix(".toml")).output.pass_over == ("M88",)
+
+
+def test_the_axis_of_the_tool_of_a_robot_goes_into_the_job(here):
+    lying = OUTLINE.replace("A 0,B 0,C 180}", "A 0,B 90,C 0}")
+    (here / "outline.src").write_text(lying)
+    options = [*ANSWERED, "--speed", "8000 rpm", "--tool-axis", "x"]
+    assert main(["new", "outline.src", *options]) == 0
+    assert '\ntool_axis = "x"\n' in (here / "outline.toml").read_text()
+    assert dm.load_job(here / "outline.toml").output.tool_axis == "x"
+    # A line counts before the option.
+    line = 'tool_axis = "-x"'
+    main(["new", "outline.src", *options, "--force", "--program", line])
+    keys = (here / "outline.toml").read_text().splitlines()
+    assert [key for key in keys if key.startswith("tool_axis")] == [line]
+
+
+def test_a_urdf_gets_drives_of_a_payload_class_to_fill_in(program):
+    assert main(["new", "part.ngc", "--robot", "arm.urdf"]) == 0
+    text = program.with_suffix(".toml").read_text()
+    assert '# drives = "class 200 kg"  # FILL IN: payload of the arm: "class 10' in text
+    assert "joint_stiffness" not in text

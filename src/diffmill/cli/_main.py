@@ -9,7 +9,7 @@ import sys
 import threading
 from collections.abc import Callable, Sequence
 from importlib import metadata
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import tyro
 
@@ -17,7 +17,7 @@ from .._messages import printable
 from .._toml import read_toml
 from ._session.errors import BadInput, Interrupted, bad_input
 from ._session.feed_request import FeedRequest
-from ._session.job_options import JobOptions
+from ._session.job_options import JobOptions, ProgramKeys, ToolAxisOption
 from ._session.usage import check_usage, shell_of
 
 if TYPE_CHECKING:
@@ -78,22 +78,6 @@ _Resume = Annotated[
     tyro.conf.arg(
         help="Go on from where an interrupted run of the same job was: from the "
         "checkpoint beside --out."
-    ),
-]
-_ToolAxis = Annotated[
-    Literal["x", "y", "z", "-x", "-y", "-z"] | None,
-    tyro.conf.arg(
-        help="Axis of a robot's tool that points from the shank to the tip (KRL, "
-        "RAPID); z if not given."
-    ),
-]
-_Program = Annotated[
-    tuple[str, ...],
-    tyro.conf.arg(
-        metavar="KEY=VALUE",
-        help='Keys of [program] as in a job, such as \'machine_zero = ["0 mm", "0 mm", '
-        '"300 mm"]\' or \'tool_lengths = { 1 = "80 mm" }\', for what a program leaves '
-        "to the control.",
     ),
 ]
 _Outside = Annotated[
@@ -485,8 +469,8 @@ def check(
         ),
     ],
     *,
-    tool_axis: _ToolAxis = None,
-    program: _Program = (),
+    tool_axis: ToolAxisOption = None,
+    program: ProgramKeys = (),
     allow_outside: _Outside = False,
 ) -> int:
     """Say what a file contains and what of it is not supported."""
@@ -523,8 +507,8 @@ def convert(
     spline: Annotated[
         bool, tyro.conf.arg(help="Whether a path becomes a spline (KRL).")
     ] = False,
-    tool_axis: _ToolAxis = None,
-    program: _Program = (),
+    tool_axis: ToolAxisOption = None,
+    program: ProgramKeys = (),
     force: _Force = False,
     quiet: _Quiet = False,
 ) -> int:

@@ -96,7 +96,7 @@ def run_new(
         _check_name("--robot", options.robot, built_in_models())
     configure_jax()
     with bad_input():
-        facts = _facts(file, options.tool)
+        facts = _facts(file, options)
     if len(facts.tools) > 1 and options.tool is None:
         numbers = ", ".join(f"T{number}" for number in facts.tools)
         progress.write(f"note: the program has the tools {numbers}; --tool chooses one")
@@ -127,19 +127,20 @@ def _check_name(option: str, name: str | None, allowed: list[str]) -> None:
         raise BadInput(f"{option}: found {name!r}; allowed: {', '.join(allowed)}")
 
 
-def _facts(file: pathlib.Path, tool: int | None) -> _Facts:
+def _facts(file: pathlib.Path, options: JobOptions) -> _Facts:
     """Facts of a program or a recorded path.
 
     Raises:
         ValueError: It cannot be read, has no such tool, or moves nothing at a feed.
     """
+    from ..config import program_setup
     from ..io import read_program
     from ..toolpath import Path
 
-    read = read_program(file)
+    read = read_program(file, setup=program_setup(options.program_lines))
     if isinstance(read, Path):
         return _path_facts(read)
-    return _program_facts(read, tool)
+    return _program_facts(read, options.tool)
 
 
 def _path_facts(path: "Path") -> _Facts:
@@ -262,7 +263,7 @@ def _job_lines(
         *_robot_lines(job, options, facts),
         "",
         "[correction]",
-        "# The largest contour error that the part allows: the verdict is held to it.",
+        "# The largest contour error that the part allows: the verdict depends on it.",
         'tolerance_band = "0.1 mm"',
     ]
 
@@ -342,6 +343,7 @@ def _program_lines(
     lines = ["[program]", f"file = {json.dumps(_relative(file, job))}"]
     if options.tool is not None:
         lines.append(f"tool = {options.tool}")
+    lines.extend(options.program_lines)
     if not facts.needs_acceleration:
         return lines
     if facts.feeds:
@@ -356,7 +358,7 @@ def _program_lines(
 
 
 def _robot_lines(job: pathlib.Path, options: JobOptions, facts: _Facts) -> list[str]:
-    from ..robot import built_in_models, forward_kinematics, load
+    from ..robot import built_in_models, drive_classes, forward_kinematics, load
 
     name = options.robot
     lines = ["[robot]"]
@@ -369,10 +371,9 @@ def _robot_lines(job: pathlib.Path, options: JobOptions, facts: _Facts) -> list[
     else:
         lines.append(f"file = {json.dumps(_relative(pathlib.Path(name), job))}")
         if name.endswith(".urdf"):
-            lines += [
-                _line("joint_stiffness", None, '["1 MN*m/rad", ...]', "each joint's"),
-                _line("joint_damping", None, '["1 kN*m*s/rad", ...]', "each joint's"),
-            ]
+            allowed = ", ".join(f'"{one}"' for one in drive_classes())
+            comment = f"payload of the arm: {allowed}; or a file of its own springs"
+            lines.append(_line("drives", None, '"class 200 kg"', comment))
     example = '{ position = ["1800 mm", "0 mm", "900 mm"] }'
     comment = "where the program's zero is, seen from the robot's base"
     if facts.has_base:
@@ -385,7 +386,7 @@ def _robot_lines(job: pathlib.Path, options: JobOptions, facts: _Facts) -> list[
     position = _millimetres(place.tolist())
     return [
         *lines,
-        "# ASSUMED: the middle of the part is where the arm stands at home. Write",
+        "# ASSUMED: the middle of the part is where the tip is at home. Write",
         f"# {comment}.",
         f"work_in_base = {{ position = {position} }}",
     ]

@@ -54,6 +54,7 @@ _WITHOUT_EFFECT = (
 _OF_SETUP = (
     "feed",
     "tool_axis",
+    "pass_over",
     "block_delete",
     "offsets",
     "tool_lengths",
