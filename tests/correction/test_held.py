@@ -101,7 +101,7 @@ def test_a_gouge_limit_that_cannot_be_held_is_named(held_and_free):
     text = str(refused.value)
     assert f"`gouge` is {1e6 * gouge:.4g} um and cannot be held" in text
     assert "um too much" in text
-    assert "stands at `max_offset` (" in text
+    assert "reaches `max_offset` (" in text
 
 
 def test_the_tool_stays_in_a_thin_layer():

@@ -74,7 +74,7 @@ def test_a_limit_that_a_segment_cannot_hold_is_named(gouge):
         segments(problem, SurfaceBounds.about(surface, gouge=gouge))
     text = str(refused.value)
     assert f"`gouge` is {1e6 * gouge:.4g} um and cannot be held" in text
-    assert "stands at `max_offset` (" in text
+    assert "reaches `max_offset` (" in text
 
 
 @pytest.mark.slow

@@ -80,7 +80,7 @@ def test_chatter_and_warnings_stand_out(correction, job, tmp_path):
     off = dataclasses.replace(
         job, simulation=dataclasses.replace(job.simulation, stability="none")
     )
-    assert "Not looked at" in table(tmp_path, correction, off)
+    assert "Not examined" in table(tmp_path, correction, off)
 
 
 def test_sections_are_linked_and_long_ones_folded(correction, job, tmp_path):

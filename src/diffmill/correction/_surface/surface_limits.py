@@ -209,6 +209,6 @@ def _blocking(
     if not blocking:
         return (
             "No other limit is reached: a closer `knot_spacing`, more `max_steps` or "
-            "a stiffer machine may do."
+            "a stiffer machine may help."
         )
-    return f"The best command found stands at {' and '.join(blocking)}."
+    return f"The best command found reaches {' and '.join(blocking)}."

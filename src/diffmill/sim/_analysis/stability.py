@@ -125,7 +125,7 @@ class Stability(eqx.Module):
         in_all = "over 1000-fold" if is_endless else f"{math.exp(largest):.3g}-fold"
         return (
             f"the cut is unstable (chatter) at {count} of the {len(self.row)} rows "
-            f"looked at, from time {first:.3f} s; most at {self.time[k]:.3f} s, "
+            f"examined, from time {first:.3f} s; most at {self.time[k]:.3f} s, "
             f"position ({x:.2f}, {y:.2f}, {z:.2f}) mm: a vibration at "
             f"{self.frequency[k]:.1f} Hz grows by {100 * growth:.2g} % "
             f"per tooth period, threefold in {1.1 / self.tooth_frequency / growth:.2g} "

@@ -69,7 +69,7 @@ def _chatter(dataset: "xarray.Dataset", job: Job | None) -> LoadingCheck:
     if dataset.attrs.get("stability_has_chatter"):
         return LoadingCheck(name, "The cut is unstable, see the warnings.", False)
     if job is not None and job.simulation.stability == "none":
-        text = "Not looked at: [simulation] stability is none."
+        text = "Not examined: [simulation] stability is none."
         return LoadingCheck(name, text, None)
     return LoadingCheck(name, "No vibration has the time to double.", True)
 

@@ -67,6 +67,6 @@ def machine_lines(dataset: "xarray.Dataset", job: Job | None) -> list[str]:
         )
     elif job.robot is not None:
         lines.append(
-            'A robot may ask for another file: [output] formats = ["krl"] or ["rapid"].'
+            'A robot may need another file: [output] formats = ["krl"] or ["rapid"].'
         )
     return lines

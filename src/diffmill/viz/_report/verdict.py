@@ -140,7 +140,7 @@ def verdict(dataset: "xarray.Dataset", *, is_complete: bool = True) -> Verdict:
     if not band:
         text += (
             " No tolerance was stated: [correction] tolerance_band or --tolerance-band "
-            "asks for a verdict."
+            "states one, and the report gets a verdict."
         )
         text += model if expected is None else ""
         faults = {
@@ -394,7 +394,7 @@ def _bounds_reached(
         share = float(np.mean(values >= _REACHED_SHARE * bound))
         if share > 0:
             reached.append(
-                f"The command stands at its bound [correction] {name} of {bound:.3g} "
+                f"The command reaches its bound [correction] {name} of {bound:.3g} "
                 f"{unit} in {100 * share:.2g} % of the steps: a wider one may gain "
                 "more."
             )

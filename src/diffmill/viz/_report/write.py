@@ -287,8 +287,8 @@ def _draw_joints(dataset: "xarray.Dataset", robot: Robot) -> _Drawing:
     if reason:
         return _Drawing(title, reason)
     caption = (
-        "Motion of each joint. On the left it stands between the limits of the joint; "
-        "a limit that is near is a red line on the right."
+        "Motion of each joint, on the left with the limits of the joint; a limit that "
+        "is near is a red line on the right."
     )
     return _Drawing(title, caption, plot_joints(dataset, robot))
 
