@@ -254,3 +254,20 @@ def test_a_long_step_logs_its_share_and_the_time_left(folder, monkeypatch, capsy
     assert 2 <= len(shares) <= 3
     assert re.fullmatch(r", about 2\d s left", shares[-1][1])
     assert "50 %  step 2 over 900 tooth periods\n" in said
+
+
+def test_correct_says_that_it_reuses_no_engagement(folder, monkeypatch, capsys):
+    text = JOB.replace("[robot]\nrigid = true\n", ELASTIC)
+    (folder / "job.toml").write_text(f'{text}resolution = "adaptive"\n')
+    asked = []
+
+    def correct(job, **_):
+        asked.append(job.notes)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(correction, "correct", correct)
+    assert main(["correct", "job.toml"]) == 1
+    note = 'resolution: found "adaptive", which holds in simulate'
+    assert capsys.readouterr().err.count(note) == 1
+    # Results have the notes of their job.
+    assert sum(note in one for one in asked[0]) == 1

@@ -235,7 +235,10 @@ def test_the_command_makes_the_next_part_better(here, capsys):
 
 def test_advice_is_ranked_and_kept(here, monkeypatch, capsys):
     """What the command prints of trials; what they tell is made up."""
-    write_slides_job(here)
+    job = write_slides_job(here)
+    text = job.read_text()
+    adaptive = '[simulation]\nresolution = "adaptive"\n'
+    job.write_text(text.replace("[simulation]\n", adaptive))
     asked = {}
 
     def advise(job, known, trials, *, on_progress):
@@ -248,11 +251,13 @@ def test_advice_is_ranked_and_kept(here, monkeypatch, capsys):
         'job = "job.toml"\n[prior]\nstiffness = 0.3\n[[trial]]\njob = "job.toml"\n'
     )
     assert main(["learn", "learn.toml", "--advise"]) == 0
-    said = capsys.readouterr().out
+    said, told = capsys.readouterr()
     assert "air" in said and "9.00 um" in said
+    assert told.count("the engagement is updated in every tooth period") == 1
     assert (here / "learn-advise" / "summary.txt").read_text() in said
     page = (here / "learn-advise" / "report.html").read_text()
     assert "<b>Measure next: air.</b> It would leave 3 um rms" in page
+    assert "the engagement is updated in every tooth period" in page
     assert asked["names"][0] == "this part under a tracker"
     assert asked["names"][-1] == "job.toml"
     np.testing.assert_array_equal(asked["known"].sizes[:3], 0.3)

@@ -12,7 +12,7 @@ from .._messages import printable
 from .._results_folder import ResultsFolder, netcdf_bytes
 from .._toml import read_toml
 from ._analyses import add_analyses
-from ._run_job import JobRun
+from ._run_job import JobRun, with_resolution_note
 from ._session.attempts import Attempts
 from ._session.checkpoint import Checkpoint
 from ._session.errors import (
@@ -70,6 +70,7 @@ def run_learn(
             measured = load_learning(
                 file, allow_outside=allow_outside, needs_parts=not advises
             )
+        measured = measured._replace(job=with_resolution_note(measured.job))
         if advises:
             measured = measured._replace(steps=0)
         if measured.steps and measured.job.output.moved_ends:

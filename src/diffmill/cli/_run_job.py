@@ -1,6 +1,7 @@
 """Running a job and writing its folder of results."""
 
 import contextlib
+import dataclasses
 import importlib
 import json
 import math
@@ -97,6 +98,8 @@ def run_job(
         with progress:
             progress.begin("reading the job")
             job = load_job(file, allow_outside=allow_outside)
+        if is_correction:
+            job = with_resolution_note(job)
         if is_correction and job.is_rigid:
             raise JobError(
                 file,
@@ -122,6 +125,17 @@ def run_job(
             progress.write(f"note: {note}")
         with interruption_leaves(run.interruption_text):
             return run.finish(band, importing)
+
+
+def with_resolution_note(job: "Job") -> "Job":
+    """Job for a correction, whose notes tell that it reuses no engagement."""
+    if job.simulation.resolution != "adaptive":
+        return job
+    note = (
+        '[simulation] resolution: found "adaptive", which holds in simulate; the '
+        "engagement is updated in every tooth period in `correct`"
+    )
+    return dataclasses.replace(job, notes=(*job.notes, note))
 
 
 class JobRun:
