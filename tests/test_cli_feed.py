@@ -5,7 +5,7 @@ import pytest
 import xarray
 from slides_job import JOB, with_machine, write_slides_job
 
-from diffmill import SimulationFailed, correction, io
+from diffmill import SimulationFailed, correction, io, load_job
 from diffmill.cli import main
 from diffmill.correction import FeedPoint, FeedTradeoff, NothingToCorrect, TunedFeed
 from diffmill.toolpath import PathFeed, retime
@@ -247,6 +247,52 @@ def test_the_fastest_feed_within_a_tolerance_is_written(folder, monkeypatch, cap
     with xarray.open_dataset(out / "result.nc", engine="h5netcdf") as found:
         np.testing.assert_allclose(found["override"], [1.0, 1.5])
         assert found["broken"].values.tolist() == ["", "tolerance"]
+
+
+def test_with_correct_the_command_that_kept_the_tolerance_is_written(
+    folder, monkeypatch, capsys
+):
+    offset = 1e-4 * np.array([1.0, -2.0, 3.0])
+
+    def fastest(job, tolerance, *, corrects, **options):
+        assert corrects
+        tried = (correction.TriedFeed(0.8, 5.0, 2e-5, 90.0, 350.0, 0.3, ""),)
+        path = retime(job.path, 0.8)
+        commanded = np.asarray(path.positions) + offset
+        return correction.FastestFeed(tried, tried[0], "", path, None, commanded)
+
+    monkeypatch.setattr(correction, "fastest_feed", fastest)
+    (folder / "job.toml").write_text(f'{JOB}[output]\nformats = ["gcode", "krl"]\n')
+    command = ["feed", "job.toml", "--tolerance", "50 um", "--correct"]
+    assert main(command) == 0
+    out, path = folder / "job-feed", retime(load_job("job.toml").path, 0.8)
+    for suffix in (".csv", ".ngc", ".src"):
+        found = io.read_program(out / f"fastest{suffix}")
+        if suffix != ".csv":
+            found = found.moves[0].end, found.moves[-1].end
+            points = np.asarray(path.positions)[[0, -1]]
+        else:
+            found, points = found.positions, np.asarray(path.positions)
+        np.testing.assert_allclose(found, points + offset, atol=2e-6)
+    assert "corrected by diffmill" in (out / "fastest.ngc").read_text()
+    assert "DEF fastest" in (out / "fastest.src").read_text()
+    said = capsys.readouterr().out
+    assert "fastest.src: " in said and said == (out / "summary.txt").read_text()
+
+
+def test_a_corrected_program_that_cannot_be_written_is_refused_at_once(
+    folder, monkeypatch, capsys
+):
+    asked = []
+    monkeypatch.setattr(correction, "fastest_feed", lambda *a, **k: asked.append(a))
+    (folder / "tilt.csv").write_text(
+        "time_s,x_mm,y_mm,z_mm,i,j,k\n0,0,0,5,0,0,1\n1,9,0,5,0.1,0,0.99498743710662\n"
+    )
+    text = JOB.replace('"part.ngc"', '"tilt.csv"')
+    (folder / "job.toml").write_text(f'{text}[output]\nformats = ["gcode"]\n')
+    command = ["feed", "job.toml", "--tolerance", "50 um"]
+    assert main([*command, "--correct"]) == 2
+    assert "the tool tilts" in capsys.readouterr().err and not asked
 
 
 @pytest.mark.parametrize(

@@ -72,6 +72,25 @@ def test_an_override_along_the_path_is_faster_within_the_same_tolerance(job):
     assert one.path is not None and found.path.step_count < one.path.step_count
 
 
+@pytest.mark.slow
+def test_the_corrected_command_is_what_is_judged_and_returned(tmp_path):
+    job = dm.load_job(write_slides_job(tmp_path, 'method = "mirror"')).with_precision()
+    assert job.robot is not None
+    robot = dataclasses.replace(job.robot, joint_speed=jnp.full(3, 10.0))
+    job = dataclasses.replace(job, robot=robot)
+    found = fastest_feed(job, 1.0, corrects=True, lowest=0.9, highest=0.9)
+    assert found.best is not None and found.path is not None
+    assert found.commanded is not None
+    own = dataclasses.replace(job, path=found.path)
+    again = dm.simulate(own, commanded=found.commanded)
+    np.testing.assert_allclose(again.contour.max, found.best.error, rtol=1e-6)
+    # Slides move as the tip does.
+    speed = lambda tips: np.abs(np.diff(tips, axis=0)).max() / job.tooth_period / 10
+    desired = float(speed(np.asarray(found.path.positions)))
+    assert found.best.joint_speed == pytest.approx(float(speed(found.commanded)))
+    assert found.best.joint_speed > desired * (1 + 1e-6)
+
+
 def test_what_has_no_fastest_feed_is_refused(job):
     with pytest.raises(ValueError, match="`knots` must be 0 or at least 2, but is 1"):
         fastest_feed(job, 1e-5, knots=1)

@@ -1,5 +1,6 @@
 """The feed of a job: error against time as a table and a figure, and tuned paths."""
 
+import dataclasses
 import pathlib
 import sys
 from collections.abc import Callable
@@ -13,6 +14,7 @@ from .._results_folder import ResultsFolder
 from ._run_job import with_job
 from ._session.attempts import Attempts
 from ._session.errors import (
+    NO_TILT,
     ONLY_SIMULATE,
     BadInput,
     bad_correction,
@@ -101,10 +103,17 @@ def _fastest(
             on_progress=progress.update,
         )
     lines = _fastest_lines(job, found)
+    files: dict[str, str] = {}
+    if found.path is not None and found.commanded is not None:
+        from ._written.corrected import corrected_files
+
+        at_feed = dataclasses.replace(job, path=found.path)
+        files, written = corrected_files(at_feed, found.commanded, name="fastest")
+        lines += written
+    elif found.path is not None:
+        files = _path_files("fastest", job, found.path, "the fastest feed")
     progress.answer("\n".join(lines))
-    files = {"summary.txt": "\n".join(lines) + "\n"}
-    if found.path is not None:
-        files |= _path_files("fastest", job, found.path, "the fastest feed")
+    files["summary.txt"] = "\n".join(lines) + "\n"
     folder = ResultsFolder.of(folder).still_free(force=force)
     from ..io import write_results
     from ..viz import plot_fastest_feed, save_figure
@@ -248,6 +257,11 @@ def _check(job: "Job", file: pathlib.Path, request: "FeedRequest") -> None:
         )
     if job.commanded is not None:
         raise JobError(file, [ONLY_SIMULATE])
+    # With a tolerance and --correct it writes the corrected program, as `correct`.
+    writes_corrected = request.correct and request.tolerance is not None
+    has_gcode = ".ngc" in job.output.suffixes
+    if writes_corrected and has_gcode and not job.path.is_upright:
+        raise JobError(file, [NO_TILT])
     from ..units import FORCE, LENGTH, POWER
 
     _positive("--tolerance", request.tolerance, LENGTH)

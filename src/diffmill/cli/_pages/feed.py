@@ -109,7 +109,7 @@ def fastest_report(
             _micrometres(one.error),
             f"{one.force:.0f}" if np.isfinite(one.force) else "-",
             f"{one.power:.0f}" if np.isfinite(one.power) else "-",
-            f"{100 * one.joint_speed:.0f}" if one.joint_speed else "-",
+            f"{100 * one.joint_speed:.0f}" if one.joint_speed > 0 else "-",
             one.broken or "-",
         )
         for one in tried

@@ -153,13 +153,14 @@ def _run_written(job: "Job", final: "Solution", path: "Path") -> ContourStatisti
 
 
 def corrected_files(
-    job: "Job", commanded: Float[np.ndarray, "step 3"]
+    job: "Job", commanded: Float[np.ndarray, "step 3"], name: str = "corrected"
 ) -> tuple[dict[str, str], list[str]]:
     """Files of a corrected command.
 
     Args:
         job: The job.
         commanded: Tip positions of the corrected command [m], shape (step, 3).
+        name: Name of its programs, without their suffix.
 
     Returns:
         Text by name of file, and lines for the user.
@@ -180,16 +181,16 @@ def corrected_files(
         # all.
         up = np.broadcast_to([0.0, 0.0, 1.0], path.axes.shape).astype(path.axes.dtype)
         path = eqx.tree_at(lambda p: p.axes, path, up)
-    files = {"corrected.csv": write_path_csv(path)}
+    files = {f"{name}.csv": write_path_csv(path)}
     reduced = reduce_path(path, output.tolerance)
     method = job.correction.method.name
     header = [f"{job.name}, corrected by diffmill", f"method: {method}"]
     for suffix in output.suffixes:
-        name, blocks = f"corrected{suffix}", reduced
+        file, blocks = f"{name}{suffix}", reduced
         if suffix == ".ngc":
             speed = float(job.spindle_speed)
             frame = program_frame(job.program, np.asarray(path.line).tolist())
-            files[name] = write_gcode(
+            files[file] = write_gcode(
                 blocks, header=header, spindle_speed=speed, frame=frame
             )
         else:
@@ -198,13 +199,13 @@ def corrected_files(
                 blocks = reduce_path(path, output.tolerance, is_spline=True)
             # A module of KRL bears the name of its file.
             program = dataclasses.replace(
-                Program.of_path(blocks, name="corrected"),
+                Program.of_path(blocks, name=name),
                 first_angles=output.first_angles,
                 first_status=output.first_status,
                 source=job.program,
                 tool_axis=output.source_axis,
             )
-            files[name] = write_program(
+            files[file] = write_program(
                 program,
                 suffix,
                 header=header,
@@ -213,12 +214,12 @@ def corrected_files(
             )
             if suffix == ".src" and not is_spline:
                 lines.append(
-                    f"note: {name}: a controller of KUKA stops where straight pieces "
+                    f"note: {file}: a controller of KUKA stops where straight pieces "
                     "of a SPLINE block meet at an angle, and then does not keep their "
                     'times; [output] blocks = "spline" has no such corners'
                 )
         lines.append(
-            f"{name}: {blocks.step_count - 1} blocks instead of "
+            f"{file}: {blocks.step_count - 1} blocks instead of "
             f"{path.step_count - 1}, within {output.tolerance * 1e6:g} um at any time"
         )
     if output.stream_cycle > 0:

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from ..._job import Job
 from ..._result import SimulationFailed
@@ -57,6 +57,8 @@ class FastestFeed(eqx.Module):
         path: The path with the best override; None without one.
         along: The best override at knots equally spaced over the length of the path,
             shape (knot,); None where it is one for the whole program.
+        commanded: Corrected command of that path, which kept the limits [m], shape
+            (step, 3); None where the path itself did.
     """
 
     tried: tuple[TriedFeed, ...]
@@ -64,6 +66,7 @@ class FastestFeed(eqx.Module):
     limited_by: str
     path: Path | None
     along: Float[np.ndarray, " knot"] | None = None
+    commanded: Float[np.ndarray, "step 3"] | None = None
 
     def to_dataset(self) -> "xarray.Dataset":
         """Overrides that were tried on the dimension `trial`."""
@@ -156,11 +159,11 @@ def fastest_feed(
     report = on_progress or (lambda message, share: None)
     search = _Search(job, tolerance, max_force, max_power, corrects)
     good, bad, override = 0.0, np.inf, min(max(1.0, lowest), highest)
-    tried: list[TriedFeed] = []
+    trials: list[_Trial] = []
     while True:
-        report(f"override {override:.3g}", min(len(tried) / 12, 1.0))
-        tried.append(search.tried(override))
-        if tried[-1].broken:
+        report(f"override {override:.3g}", min(len(trials) / 12, 1.0))
+        trials.append(search.trial(override))
+        if trials[-1].feed.broken:
             bad = override
         else:
             good = override
@@ -171,25 +174,45 @@ def fastest_feed(
             override = min(good * _RAISE, highest)
         else:
             override = (bad + good) / 2 if good else max(bad / _RAISE, lowest)
-    kept = [one for one in tried if not one.broken]
-    best = max(kept, key=lambda one: one.override, default=None)
-    broken = [one for one in tried if one.broken]
+    kept = [one for one in trials if not one.feed.broken]
+    best = max(kept, key=lambda one: one.feed.override, default=None)
+    broken = [one.feed for one in trials if one.feed.broken]
     first = min(broken, key=lambda one: one.override, default=None)
     limited_by = "" if first is None else first.broken
     if best is None:
-        return FastestFeed(tuple(tried), None, limited_by, None)
+        return FastestFeed(tuple(one.feed for one in trials), None, limited_by, None)
     along = None
-    if knots and best.override < highest:
-        room = search.room(best.override, knots, highest)
-        for trial, share in enumerate((1.0, 0.7, 0.4, 0.2)):
-            report(f"override along the path, share {share:g}", 0.8 + 0.05 * trial)
-            override = best.override * (1 + share * (room - 1))
-            tried.append(search.tried(override))
-            if not tried[-1].broken:
-                best, along = tried[-1], override
+    if knots and best.feed.override < highest:
+        even = best.feed.override
+        room = search.room(even, knots, highest)
+        for number, share in enumerate((1.0, 0.7, 0.4, 0.2)):
+            report(f"override along the path, share {share:g}", 0.8 + 0.05 * number)
+            override = even * (1 + share * (room - 1))
+            trials.append(search.trial(override))
+            if not trials[-1].feed.broken:
+                best, along = trials[-1], override
                 break
-    path = retime(job.path, best.override if along is None else along)
-    return FastestFeed(tuple(tried), best, limited_by, path, along)
+    path = retime(job.path, best.feed.override if along is None else along)
+    return FastestFeed(
+        tuple(one.feed for one in trials),
+        best.feed,
+        limited_by,
+        path,
+        along,
+        best.commanded,
+    )
+
+
+class _Trial(NamedTuple):
+    """Trial of a feed.
+
+    Attributes:
+        feed: Its figures.
+        commanded: Its corrected command [m]; None without one.
+    """
+
+    feed: TriedFeed
+    commanded: Float[np.ndarray, "step 3"] | None = None
 
 
 class _Search(NamedTuple):
@@ -224,15 +247,15 @@ class _Search(NamedTuple):
         most = highest / override
         return np.clip(self.tolerance / np.maximum(largest, 1e-12), 1.0, most)
 
-    def tried(self, override: "float | Float[np.ndarray, ' knot']") -> TriedFeed:
+    def trial(self, override: "float | Float[np.ndarray, ' knot']") -> _Trial:
         """Trial of an override, of the whole program or at knots along the path."""
         time = PathFeed.of_path(self.job.path).cycle_time(override)
-        job = self._with(override)
-        speed, mean = _joint_speed(job), float(np.mean(override))
+        job, mean = self._with(override), float(np.mean(override))
         try:
             run = self._run(job)
         except SimulationFailed:
-            return TriedFeed(mean, time, np.nan, np.nan, np.nan, speed, "run")
+            none = np.nan
+            return _Trial(TriedFeed(mean, time, none, none, none, none, "run"))
         cuts = np.asarray(run.is_cutting)
         if not cuts.any():
             raise NothingToCorrect(NEVER_CUTS)
@@ -240,6 +263,7 @@ class _Search(NamedTuple):
         force = float(np.linalg.norm(np.asarray(run.force)[cuts], axis=1).max())
         torque = float(np.asarray(run.spindle_torque)[cuts].max())
         power = torque * float(job.spindle_speed)
+        speed = _joint_speed(job, run.commanded)
         limits = {
             "tolerance": error > self.tolerance,
             "force": force > self.max_force,
@@ -247,7 +271,8 @@ class _Search(NamedTuple):
             "joint speed": speed > 1,
         }
         broken = next((name for name, is_broken in limits.items() if is_broken), "")
-        return TriedFeed(mean, time, error, force, power, speed, broken)
+        feed = TriedFeed(mean, time, error, force, power, speed, broken)
+        return _Trial(feed, np.asarray(run.commanded, float) if self.corrects else None)
 
     def _with(self, override: "float | Float[np.ndarray, ' knot']") -> Job:
         """Job whose path has an override."""
@@ -265,11 +290,11 @@ class _Search(NamedTuple):
         return run
 
 
-def _joint_speed(job: Job) -> float:
-    """Largest speed of a joint over what it can, of the path as it is; 0 without."""
+def _joint_speed(job: Job, commanded: Float[Array, "step 3"]) -> float:
+    """Largest speed of a joint over what it can, of a command [m]; 0 without."""
     if job.robot is None or job.robot.joint_speed is None:
         return 0.0
-    motors, _ = JobKinematics(job).motors(jnp.asarray(job.path.positions))
+    motors, _ = JobKinematics(job).motors(jnp.asarray(commanded))
     rate = np.abs(np.diff(np.asarray(motors), axis=0)) / float(job.tooth_period)
     share = rate / np.asarray(job.robot.joint_speed)
     return float(np.max(share, initial=0.0, where=np.isfinite(share)))
