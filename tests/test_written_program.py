@@ -99,6 +99,11 @@ def test_a_corrected_robot_program_has_the_orientation_of_its_source(
         assert all("A 0,B 90,C 0}" in row for row in positions)
     with xarray.open_dataset(tmp_path / "out" / "result.nc", engine="h5netcdf") as kept:
         found = kept.attrs
+    # Nothing is known of the times of its lines: the report says so.
+    assert "SLIN" in (tmp_path / "out" / "corrected.src").read_text()
+    assert "stops where straight" in found["written_untimed_src"]
+    box = (tmp_path / "out" / "report.html").read_text().split("Before you load it")[2]
+    assert "times of corrected.src" in box
     # A tool that were read back lying flat would cut elsewhere.
     rms = found["written_rms_src"], found["moved_rms_src"]
     assert 0 < rms[0] < rms[1] < 1e-4

@@ -79,6 +79,21 @@ def test_verdict_and_headline_are_those_of_the_program_to_load(tmp_path, correct
     assert "not judged" not in report(tmp_path, correction.assign_attrs(calm))
 
 
+def test_a_program_that_may_not_keep_its_times_is_not_judged(tmp_path, correction):
+    largest = corrected_error(correction).max()
+    told = dict(tolerance_band=2 * largest, written_max_src=3 * largest)
+    told |= dict(written_rms_src=2 * largest, written_max_ngc=1.1 * largest)
+    assert "Not within" in report(tmp_path, correction.assign_attrs(told))
+    told |= dict(written_untimed_src="the controller rests at corners")
+    text = report(tmp_path, correction.assign_attrs(told))
+    assert "Not within" not in text and "Outside the tolerance" not in text
+    assert f"Of corrected.src, read back and run: {3e6 * largest:.3g}" in text
+    assert "if its times are kept; not judged." in text
+    box = text.split("Before you load it")[2]
+    assert "\u2610 times of corrected.src The controller rests at corners." in box
+    assert "of what is written" not in text
+
+
 @pytest.mark.parametrize("left", [np.nan, np.inf])
 def test_a_written_error_that_is_not_finite_keeps_no_tolerance(correction, left):
     given = correction.assign_attrs(tolerance_band=1.0, written_max_ngc=left)

@@ -76,7 +76,12 @@ def add_analyses(folder: pathlib.Path, run: FinishedRun, progress: Progress) -> 
     attempts = Attempts()
     dataset = run.dataset
     if "corrected_case" in dataset.attrs:
-        dataset = dataset.assign_attrs(written_not_run=1)
+        from ._written.corrected import untimed_programs
+
+        untimed = untimed_programs(run.job).items()
+        reasons = {f"written_untimed_{suffix[1:]}": why for suffix, why in untimed}
+        run = run._replace(dataset=dataset.assign_attrs(reasons))
+        dataset = run.dataset.assign_attrs(written_not_run=1)
         with attempts.at("written program"):
             dataset = _with_written(folder, run, progress)
     try:

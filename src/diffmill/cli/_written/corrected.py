@@ -19,8 +19,20 @@ if TYPE_CHECKING:
 
 # A written program with so many times the error of its command needs more blocks.
 _NOTED_ERROR_RATIO = 1.2
+# Of lines of KRL: that they keep their times is not known.
+_UNTIMED = (
+    "a controller of KUKA stops where straight pieces of a SPLINE block meet at an "
+    'angle, and then does not keep their times; [output] blocks = "spline" has no such '
+    "corners"
+)
 # Angles are written to 1e-6 degrees: largest change of an axis [-].
 _AXIS_ROUNDING = 1e-7
+
+
+def untimed_programs(job: "Job") -> dict[str, str]:
+    """Corrected programs whose times a controller may not keep, and why, by suffix."""
+    is_untimed = ".src" in job.output.suffixes and job.output.blocks == "lines"
+    return {".src": _UNTIMED} if is_untimed else {}
 
 
 def written_errors(
@@ -212,12 +224,8 @@ def corrected_files(
                 is_spline=is_spline,
                 tool_axis=output.tool_axis,
             )
-            if suffix == ".src" and not is_spline:
-                lines.append(
-                    f"note: {file}: a controller of KUKA stops where straight pieces "
-                    "of a SPLINE block meet at an angle, and then does not keep their "
-                    'times; [output] blocks = "spline" has no such corners'
-                )
+            if reason := untimed_programs(job).get(suffix):
+                lines.append(f"note: {file}: {reason}")
         lines.append(
             f"{file}: {blocks.step_count - 1} blocks instead of "
             f"{path.step_count - 1}, within {output.tolerance * 1e6:g} um at any time"

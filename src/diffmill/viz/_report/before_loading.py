@@ -10,7 +10,7 @@ from ...robot import Robot
 from .._cases import chosen_case, place_text, reference_case, select_case, values_of
 from .._figure.joints import shown_units
 from .._style import length_text
-from .verdict import departure_text, tolerance_band, verdict
+from .verdict import departure_text, tolerance_band, untimed_programs, verdict
 
 if TYPE_CHECKING:
     import xarray
@@ -53,6 +53,9 @@ def checks_before_loading(
     departure = departure_text(dataset)
     if departure:
         found.append(LoadingCheck("departure from the program", departure, None))
+    for name, reason in untimed_programs(dataset).items():
+        text = f"{reason[0].upper()}{reason[1:]}."
+        found.append(LoadingCheck(f"times of {name}", text, None))
     if chosen_case(dataset) != reference_case(dataset):
         text = "At 100 %: the times of the blocks are a part of the correction."
         found.append(LoadingCheck("override", text, None))

@@ -9,7 +9,8 @@ It reads of a result, besides the variables of `simulate` and `correct`:
   each case, those that end in `_s` in seconds; `corrected_case`: the case whose
   command is the corrected program; `written_rms_SUFFIX` and `written_max_SUFFIX` [m],
   the errors that the program in `corrected.SUFFIX` leaves, and `moved_` and `stream_`
-  for those files; `is_successful` (0 marks a run that failed);
+  for those files; `written_untimed_SUFFIX`, why that program may not keep its times;
+  `is_successful` (0 marks a run that failed);
   `tolerance_band` [m], the contour error to hold the result against;
   `stability_has_chatter` (1 where vibrations grow), and of those that grow most
   `stability_largest_radius`, `stability_frequency` [Hz]; `mismatch_rms_stiffness` and

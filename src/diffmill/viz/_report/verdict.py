@@ -82,14 +82,30 @@ def loaded_errors(
 ) -> dict[str, float]:
     """Errors of those written files that are loaded into the machine, by name [m].
 
-    A moved program and a stream serve controllers that cannot take these.
+    A moved program and a stream serve controllers that cannot take these; of a program
+    whose times may not be kept the error on the machine is not known.
 
     Args:
         dataset: A result of `correct`.
         measure: The root mean square contour error, or the largest.
     """
-    written = written_errors(dataset, measure)
-    return {n: size for n, size in written.items() if n.startswith("corrected.")}
+    written, untimed = written_errors(dataset, measure), untimed_programs(dataset)
+    loaded = [n for n in written if n.startswith("corrected.") and n not in untimed]
+    return {name: written[name] for name in loaded}
+
+
+def untimed_programs(dataset: "xarray.Dataset") -> dict[str, str]:
+    """Corrected programs whose times a controller may not keep, and why, by name.
+
+    Args:
+        dataset: A result of `correct`.
+    """
+    prefix = "written_untimed_"
+    return {
+        f"corrected.{str(key).removeprefix(prefix)}": str(reason)
+        for key, reason in dataset.attrs.items()
+        if str(key).startswith(prefix)
+    }
 
 
 def verdict(dataset: "xarray.Dataset", *, is_complete: bool = True) -> Verdict:
@@ -199,11 +215,14 @@ def _written_text(dataset: "xarray.Dataset", band: float) -> str:
     written, loaded = (
         found(dataset, "max") for found in (written_errors, loaded_errors)
     )
+    untimed = untimed_programs(dataset)
     text, outside = "", []
     for name, error in written.items():
         size = f"{length_text(error)}" if np.isfinite(error) else "not finite"
-        text += f" Of {name}, read back and run: {size}."
-        outside += [name] if name not in loaded and not error <= band else []
+        text += f" Of {name}, read back and run: {size}"
+        text += ", if its times are kept; not judged." if name in untimed else "."
+        is_other = name not in loaded and name not in untimed
+        outside += [name] if is_other and not error <= band else []
     if outside:
         text += (
             f" Outside the tolerance, but not judged, is {' and '.join(outside)}: the "
