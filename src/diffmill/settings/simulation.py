@@ -134,7 +134,7 @@ class SimulationSettings(Settings, table="simulation"):
         updates_per_period: Engagement updates of a tooth period.
         resolution: "every tooth": each tooth period has its engagement update;
             "adaptive": in `simulate`, several periods share one where the cut is
-            steady.
+            steady; corrections and learning have one in each.
         scatter: How far the machine may be from the model; the command line adds the
             error to be expected then. None if it is not known.
         tilts: Whether a job file asks that the bending arm tilts the tool, for `axes`.
@@ -211,9 +211,9 @@ class SimulationSettings(Settings, table="simulation"):
     )
     updates_per_period: int = 1
     resolution: Literal["every tooth", "adaptive"] = key(
-        "adaptive: in simulate several tooth periods share an engagement update where "
-        "the cut is steady, which is faster; for cutters with even pitch and without "
-        "run-out, and not for the amplitude of chatter",
+        "adaptive: several tooth periods share an engagement update where the cut is "
+        "steady, which is faster, but in correct and learn; for cutters with even "
+        "pitch and without run-out, and not for the amplitude of chatter",
         default="every tooth",
     )
     scatter: ScatterSettings | None = key(

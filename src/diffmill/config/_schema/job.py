@@ -150,9 +150,9 @@ class ProgramTable(TomlTable):
     )
     pass_over: list[StrictStr] = Field(
         default_factory=list,
-        description="names of routines of other files that a program of a robot calls "
-        'and that move neither arm nor work, such as ["SPINDLE_ON"], and M codes of '
-        'G-code, such as ["M88"]; they are noted',
+        description="names of routines that a program of a robot calls, that no file "
+        'has and that move neither arm nor work, such as ["SPINDLE_ON"], and M codes '
+        'of G-code, such as ["M88"]; they are noted',
     )
     block_delete: StrictBool = Field(
         default=False, description="true: lines that begin with / are left out"
@@ -185,7 +185,8 @@ class ProgramTable(TomlTable):
     machine_zero: Lengths3 | None = Field(
         default=None,
         description="zero of the machine in work, such as "
-        '["-200 mm", "-150 mm", "400 mm"]; required for G53, G28, G30 and G10 L2',
+        '["-200 mm", "-150 mm", "400 mm"]; required where a cut depends on G53, G28 '
+        "or G30",
     )
     reference_point: Lengths3 = Field(
         default_factory=lambda: [0.0, 0.0, 0.0],

@@ -18,8 +18,8 @@ class ProgramSetup:
             A program that uses one system alone needs none: it is `work`.
         tool_lengths: Lengths that G43 H compensates [m], by number. Without them the
             tip is where the program says as soon as it states Z after G43 or G49.
-        machine_zero: Zero of the machine in `work` [m]; G53, G28, G30 and G10 L2
-            need it.
+        machine_zero: Zero of the machine in `work` [m]; a cut that depends on G53,
+            G28 or G30 needs it.
         reference_points: Machine coordinates to which G28 and G30 go [m].
         skips_blocks: Whether lines that begin with a block delete / are left out.
         tool_radii: Radii of cutters [m] that G41 and G42 compensate, by D.
