@@ -257,8 +257,8 @@ def test_a_long_step_logs_its_share_and_the_time_left(folder, monkeypatch, capsy
 
 
 def test_correct_says_that_it_reuses_no_engagement(folder, monkeypatch, capsys):
-    text = JOB.replace("[robot]\nrigid = true\n", ELASTIC)
-    (folder / "job.toml").write_text(f'{text}resolution = "adaptive"\n')
+    elastic = f'{ELASTIC}resolution = "adaptive"\n'
+    (folder / "job.toml").write_text(JOB.replace("[robot]\nrigid = true\n", elastic))
     asked = []
 
     def correct(job, **_):
