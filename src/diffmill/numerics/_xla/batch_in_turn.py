@@ -31,7 +31,6 @@ def batched_in_turn(function: Callable[_P, _T]) -> Callable[_P, _T]:
     **Differentiability**: that of the function, whose derivatives `vmap` batches as it
     does without this.
     """
-
     # Which arguments these are is checked where they come in.
     call: Callable[..., _T] = function
 
