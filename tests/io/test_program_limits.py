@@ -15,7 +15,7 @@ from diffmill.io import (
 from diffmill.toolpath import Program
 
 # Processor time for a refusal [s].
-QUICK = 3.0
+QUICK = 5.0
 # Largest memory of a program that is read, per line [B].
 LINE_MEMORY = 2000
 
