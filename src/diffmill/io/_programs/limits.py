@@ -24,7 +24,7 @@ DEEPEST_CALLS = DEEPEST_BLOCKS = 100
 MOST_VALUES = 2_000_000
 MOST_COPIED = 20_000_000
 # Characters of a line that loops may carry out at the cost of one.
-LINE_OF_ONE_STEP = 100
+LINE_OF_ONE_STEP = 60
 MOST_DIGITS = 300
 # A controller's longest line has some hundred characters; comments may be longer.
 LONGEST_LINE = 10_000
