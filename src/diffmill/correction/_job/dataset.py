@@ -20,6 +20,7 @@ _BY_CASE = (
     "commanded",
     "actual",
     "force",
+    "spindle_torque",
     "removed_volume",
     "shank_volume",
     "deviation",
