@@ -91,7 +91,7 @@ def _digest(
     contents = {name: _content(folder / name, known) for name in _texts(tables)}
     for name in _texts(tables.get("program", {})):
         if pathlib.PurePath(name).suffix.lower() in _PARTS:
-            contents[f"beside {name}"] = _beside((folder / name).parent, known)
+            contents[f"beside {name}"] = _folder_digest((folder / name).parent, known)
     content = {
         "command": campaign.command,
         "tables": tables,
@@ -126,7 +126,7 @@ def _content(path: pathlib.Path, known: dict[pathlib.Path, str]) -> str:
     return known[path]
 
 
-def _beside(folder: pathlib.Path, known: dict[pathlib.Path, str]) -> str:
+def _folder_digest(folder: pathlib.Path, known: dict[pathlib.Path, str]) -> str:
     """Hash of all files that a program may read from its own folder."""
     key = folder / "*"
     if key not in known:

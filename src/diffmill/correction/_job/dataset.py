@@ -15,20 +15,8 @@ if TYPE_CHECKING:
 
     from .correct import Correction
 
-# Rows that differ from case to case.
-_BY_CASE = (
-    "commanded",
-    "actual",
-    "force",
-    "spindle_torque",
-    "removed_volume",
-    "shank_volume",
-    "deviation",
-    "surface_deviation",
-    "contour_error",
-    "motor_positions",
-    "joint_positions",
-)
+# Rows that all cases share.
+_SHARED = ("desired", "is_cutting")
 _PART_FIGURES = {
     "rms": "root mean square contour error",
     "p95": "95 % of the rows have a smaller contour error",
@@ -58,8 +46,7 @@ def correction_dataset(
     dataset = xarray.concat(
         tables,
         dim=xarray.DataArray(names, dims="case", name="case"),
-        # A machine given by modes has no joints.
-        data_vars=[name for name in _BY_CASE if name in tables[0]],
+        data_vars=[str(name) for name in tables[0] if name not in _SHARED],
         combine_attrs="drop_conflicts",
     )
     left_out = ""

@@ -186,8 +186,8 @@ class CoupledPeriod(eqx.Module):
         end, moved = _run(fixed, arrays)
         ends = jax.vmap(self.dynamics.tip)(moved.end)
         tips = predicted.tip, moved.tip, ends
-        unfelt = moved.force_range, moved.spindle_torque
-        return end, LoadedSubsteps(*tips, moved.load, *unfelt)
+        recorded = moved.force_range, moved.spindle_torque
+        return end, LoadedSubsteps(*tips, moved.load, *recorded)
 
     def run_with_updates(
         self,

@@ -136,13 +136,13 @@ class QuasiStaticArm(AbstractCompliant):
         cutting = cutting.ended(tips, ends)
         loads = jnp.broadcast_to(end.load[None], (middles.size, size))
 
-        def unfelt() -> tuple[Array, Array]:
+        def recorded() -> tuple[Array, Array]:
             wrench = jax.lax.stop_gradient(period_wrench(process, cut, tips, recent))
             torque = jnp.mean(wrench[:, 6].reshape(middles.size, -1), axis=1)
             return substep_ranges(wrench, middles.size), torque
 
         moved = LoadedSubsteps(
-            predicted.tip, tips.tip, ends.tip, loads, *if_valid(row.is_live, unfelt)
+            predicted.tip, tips.tip, ends.tip, loads, *if_valid(row.is_live, recorded)
         )
         return RunState(cutting, end, state.period_count), Period(
             tip=start.pose.tip,
