@@ -163,7 +163,7 @@ def test_no_call_hides_its_arguments_in_a_tuple():
 
 
 # Exported names of all areas; only a new part of the program adds to them.
-MOST_NAMES = 353
+MOST_NAMES = 354
 
 
 def test_few_names_are_exported():

@@ -10,6 +10,7 @@ from slides_job import ROBOT, with_machine, write_slides_job
 
 import diffmill as dm
 from diffmill.cli import main
+from diffmill.workpiece import StockPieces
 from small_job import ARM, job_text, write_job
 
 # Cuts of other segments are crossed again; it begins in the stock, and dwells.
@@ -46,6 +47,8 @@ mass = "80 kg"
 )
 # Tooth periods of a segment.
 SEGMENT = 64
+# From a path to one that reaches nothing of what the tool cuts there [m].
+AWAY = np.array([0, 0.04, 0])
 KINDS = {
     "rigid": {"robot": {"rigid": True}},
     "elastic": {
@@ -87,12 +90,24 @@ def job_of(folder, kind, **changes):
     return dataclasses.replace(job, path=path)
 
 
+def comparable(solution):
+    """Solution without the tips within the rigid periods, its rays in one order."""
+    rigid = solution.rigid
+    removal = dataclasses.replace(rigid.removal, stock=ordered(rigid.stock))
+    rigid = dataclasses.replace(rigid, ends=rigid.actual[:, None], removal=removal)
+    return dataclasses.replace(solution, rigid=rigid, stock=ordered(solution.stock))
+
+
+def ordered(stock):
+    """Pieces of a stock, along each ray in their order."""
+    families = StockPieces.of(stock).families
+    x, y, z = (each[np.lexsort((each.ends[:, 0], each.ray))] for each in families)
+    return StockPieces((x, y, z)).stock(stock, (16, 16, 16))
+
+
 def assert_same(found, wanted):
     """Compare all that two solutions hold, but the tips within the rigid periods."""
-    rigid = lambda run: dataclasses.replace(run, ends=run.actual[:, None])
-    found, wanted = (
-        dataclasses.replace(x, rigid=rigid(x.rigid)) for x in (found, wanted)
-    )
+    found, wanted = comparable(found), comparable(wanted)
     pairs = zip(*map(jax.tree_util.tree_leaves_with_path, (found, wanted)), strict=True)
     for (name, one), (_, other) in pairs:
         one, other = np.asarray(one), np.asarray(other)
@@ -124,6 +139,44 @@ def test_a_path_in_segments_is_the_path(tmp_path, kind):
     shares = [share for _, share in told]
     assert shares == sorted(shares) and shares[-1] == 1
     assert any(f"of {rows} tooth periods" in message for message, _ in told)
+
+
+def comb_job(folder, **changes):
+    """Return a job of slots across a bar, twelve of them."""
+    lines = ["G21 G17 G90 G94", "G0 X4 Y-4 Z-1"]
+    for k in range(12):
+        lines += [f"G1 Y{(8, -4)[k % 2]} F6000", f"G0 X{8 * k + 12}"]
+    bar = {
+        "cutter.diameter": "4 mm",
+        "stock.upper": ["100 mm", "4 mm", "0 mm"],
+        "stock.spacing": "1 mm",
+        "simulation": {"substeps": 2},
+    }
+    program = "\n".join([*lines, "M2", ""])
+    return dm.load_job(write_job(folder, bar | changes, program=program))
+
+
+def test_a_segment_has_the_pieces_that_its_tool_can_reach(tmp_path):
+    """Rays that many slots cross need few intervals at once; none is lost."""
+    wanted = dm.simulate(comb_job(tmp_path, **{"stock.intervals": [16, 8, 1]}))
+    job = comb_job(tmp_path, **{"stock.intervals": [6, 8, 1]})
+    found = dm.simulate(job, segment_periods=SEGMENT)
+    # A run of the whole path would fail: it has thirteen at once.
+    assert found.stock.interval_counts == (13, 8, 1)
+    assert_same(found, wanted)
+
+
+@pytest.mark.slow
+def test_a_tool_far_from_its_path_meets_the_stock_there(tmp_path):
+    """Motors that are told to go elsewhere cut what is there."""
+    job = job_of(tmp_path, "elastic")
+    motors = dm.simulate(job).motor_positions
+    beside = dataclasses.replace(job.path, positions=job.path.positions + AWAY)
+    job = dataclasses.replace(job, path=beside)
+    wanted = dm.simulate(job, motors=motors)
+    found = dm.simulate(job, motors=motors, segment_periods=SEGMENT)
+    assert float(np.abs(wanted.force).max()) > 1
+    assert_same(found, wanted)
 
 
 class Stopped(Exception):

@@ -20,6 +20,7 @@ from ._dexel.removal import RemovalWindow as RemovalWindow
 from ._dexel.stock import (
     Rays as Rays,
     Stock as Stock,
+    StockPieces as StockPieces,
     box as box,
 )
 from ._dexel.tooth_pass import (

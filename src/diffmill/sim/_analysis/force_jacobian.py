@@ -64,6 +64,12 @@ def force_slopes(
     for row in rows_of_turns:
         last = on_device(np.asarray(row, np.int32))
         carry = _replay(process, carry, _Passes(padded, matters), first, last)
+        if bool(carry.state.has_overflow):
+            # A long run has only the pieces at once that the tool can reach.
+            counts = [2 * count for count in process.stock.interval_counts]
+            stock = process.stock.with_interval_counts(counts)
+            wider = eqx.tree_at(lambda p: p.stock, process, stock)
+            return force_slopes(wider, path, rows, substeps)
         found = _slopes_at(fine, carry.state, padded, last)
         now, before = (np.asarray(x, np.float64) for x in found)
         before = before.reshape(len(now), -1, 3, 3)

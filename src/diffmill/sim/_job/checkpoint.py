@@ -15,6 +15,7 @@ from jaxtyping import Array, Bool, Int, PyTree
 
 from ..._arrays import Arrays, above, below, named_leaves, on_device
 from ...process import RemovedVolume
+from ...workpiece import StockPieces
 from .._machine.machine import RunState
 from .path_segments import PathSegment
 
@@ -30,11 +31,14 @@ class RunPlace(eqx.Module):
         state: State of the machine and the stock.
         teller: State of the controller that tells the machine where to go, a tree.
         standing_count: As of `RunSegment`.
+        apart: Pieces of the stock that the segment could not reach, which its state
+            does not have.
     """
 
     state: RunState
     teller: PyTree
     standing_count: Int[Array, ""]
+    apart: StockPieces
 
 
 class SegmentOutputs(eqx.Module):

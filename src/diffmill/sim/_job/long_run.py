@@ -64,6 +64,7 @@ class LongRun(NamedTuple):
             lambda segment, _: (_path_piece(tips, axes, segment), None),
             none,
             lambda told, ran: _loads(ran),
+            tips,
         )
         ran = self._run(machine, len(tips), rows)
         return self._whole(ran, (tips, tips[:, None], *none, None))
@@ -100,7 +101,7 @@ class LongRun(NamedTuple):
                 return out, command, ran.engagement_updates
 
             command = _commands(problem, np.asarray(motors))
-            path_rows = PathRows(command, (rows, told, updates), of_segment)
+            path_rows = PathRows(command, (rows, told, updates), of_segment, tips)
             run = self._whole(self._run(problem.machine, len(tips), path_rows), rows)
             run = dataclasses.replace(run, engagement_updates=updates)
             told = told if is_arm else None

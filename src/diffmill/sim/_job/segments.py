@@ -1,8 +1,10 @@
 """Long runs in segments of one length: programs and devices hold one at a time.
 
 The rows of a segment are taken to the host before the next one runs, which goes on
-from its state. What goes from segment to segment on the device is that state alone: the
-stock, the poses that wait for removal and those that it looks back on.
+from its state: the stock, the poses that wait for removal and those that it looks back
+on. Of the stock, a segment gets the pieces of rays within the tool's reach; the others
+wait on the host. So a ray that crosses a long part has few pieces at once, however many
+it has in all.
 """
 
 import dataclasses
@@ -17,10 +19,11 @@ from jaxtyping import Array, Float, Int, PyTree
 
 from ..._arrays import is_traced, on_device
 from ..._padding import LONGEST, whole_parts
+from ..._types import FloatRows3
 from ...numerics import CachedJit
 from ...process import Process
 from ...toolpath import Path
-from ...workpiece import Rays
+from ...workpiece import StockPieces
 from .._machine.adaptive_updates import run_adaptive
 from .._machine.machine import (
     AbstractMachine,
@@ -62,11 +65,13 @@ class PathRows(NamedTuple):
         path: Arrays of the whole path, a tree.
         of_segment: Returns their rows in a segment, from what the machine was told and
             the segment's run.
+        tips: Tips that the machine is to reach [m], shape (step, 3).
     """
 
     command: Callable[[PathSegment, PyTree], tuple[PyTree, PyTree]]
     path: PyTree
     of_segment: Callable[[PyTree, RunSegment], PyTree]
+    tips: FloatRows3
 
 
 class SegmentPlan(NamedTuple):
@@ -159,10 +164,12 @@ def run_in_segments(
     _add_volumes(volume, last, removed.pose, removed.volume)
     _add_volumes(by_shank, last, removed.pose, removed.by_shank)
     has_failed[last] |= bool(end.has_failed)
+    pieces = StockPieces.of(end.stock).joined(place.apart)
+    room = map(max, pieces.most_on_a_ray(), process.stock.interval_counts)
     removal = Removal(
         removed_volume=on_device(volume),
         shank_volume=on_device(by_shank),
-        stock=end.stock,
+        stock=pieces.stock(end.stock, tuple(room)),
         has_failed=on_device(has_failed),
         result=outcome(end, jnp.asarray(is_finite)),
     )
@@ -180,16 +187,14 @@ def _place(
     """Place at which a run begins, or at which a checkpoint goes on."""
     told, teller = rows.command(next(iter(segments)), None)
     state, none = _begun(machine, process, told), on_device(np.zeros((), np.int32))
-    begun = RunPlace(state, None, none)
-    place = plan.checkpoint.place(RunPlace(state, teller, none))
+    apart = StockPieces.none(process.stock)
+    begun = RunPlace(state, None, none, apart)
+    place = plan.checkpoint.place(RunPlace(state, teller, none, apart))
     if place is None:
         return begun
-    counts, wanted = (
-        x.interval_counts for x in (process.stock, place.state.process.stock)
-    )
-    while counts is not None and counts != wanted:
-        # The run until there has asked for more.
-        counts = plan.more_slots(counts)
+    wanted = place.state.process.stock.interval_counts
+    # The run until there has asked for more.
+    _enough(wanted, process.stock.interval_counts, plan)
     return place
 
 
@@ -203,50 +208,98 @@ def _ran(
 ) -> tuple[RunPlace, SegmentOutputs]:
     """Place of a run behind a segment, and its outputs in it."""
     told, teller = rows.command(segment, place.teller)
-    count, state = on_device(np.asarray(segment.row_count, np.int32)), place.state
+    count = on_device(np.asarray(segment.row_count, np.int32))
+    counts, pieces = place.state.process.stock.interval_counts, _pieces(place)
+    tips = np.asarray(rows.tips)[segment.rows()]
+    # The tool leaves its path by less than its radius, or the segment runs again.
+    room = float(process.cutter.nominal_radius)
     while True:
+        least, most = tips.min(axis=0) - room, tips.max(axis=0) + room
+        near, apart = _parted(process, place.state, pieces, least, most)
+        counts = _enough(near.most_on_a_ray(), counts, plan)
+        state = _with_pieces(place.state, near, counts)
         own = _with_stock_of(process, state)
         ran = _segment(machine, own, told, state, count, plan.is_adaptive)
+        counted = [np.asarray(x)[: segment.row_count] for x in (ran.actual, ran.force)]
+        if np.any((counted[0] < least) | (counted[0] > most)):
+            room *= 2
+            continue
         if not bool(ran.state.process.has_overflow):
             break
-        counts = plan.more_slots(state.process.stock.interval_counts)
-        if counts is None:
+        more = plan.more_slots(counts)
+        if more is None:
             break
-        state = _widened(state, counts)
+        counts = more
         # No segment has as few slots again.
         _segment.forget()
-    counted = [np.asarray(x)[: segment.row_count] for x in (ran.actual, ran.force)]
     outputs = SegmentOutputs(
         rows=rows.of_segment(told, ran),
         removed=ran.removed,
         has_failed=ran.has_failed,
         is_finite=np.asarray(all(np.isfinite(x).all() for x in counted)),
     )
-    place = RunPlace(ran.state, teller, ran.standing_count)
+    place = RunPlace(ran.state, teller, ran.standing_count, apart)
     return place, jax.device_get(outputs)
+
+
+def _enough(
+    needed: Sequence[int], counts: Sequence[int], plan: SegmentPlan
+) -> Sequence[int]:
+    """Slots of a ray along each axis with room for so many pieces."""
+    while any(n > count for n, count in zip(needed, counts, strict=True)):
+        # Where no more may be asked for, what is there must have room.
+        counts = plan.more_slots(counts) or tuple(map(max, needed, counts))
+    return counts
+
+
+def _pieces(place: RunPlace) -> StockPieces:
+    """Pieces of the whole stock, with the ticks of the whole run."""
+    state = place.state
+    assert state.cut_by is not None
+    poses = lambda stock: [rays.poses for rays in stock.families]
+    stock = eqx.tree_at(poses, state.process.stock, list(state.cut_by))
+    return StockPieces.of(stock).joined(place.apart)
+
+
+def _parted(
+    process: Process,
+    state: RunState,
+    pieces: StockPieces,
+    least: Float[np.ndarray, " 3"],
+    most: Float[np.ndarray, " 3"],
+) -> tuple[StockPieces, StockPieces]:
+    """Pieces that the tool reaches with its tip in a box, and those that it does not.
+
+    It also reaches what it still has to remove where it was before.
+    """
+    stock, track = process.stock, state.process.track
+    # The last period enters the track in the next one.
+    oldest = int(state.process.queue.row[0]) - process.removal.standing_rows
+    waiting = slice(max(oldest, 0) * track.substeps, -track.substeps)
+    before = np.asarray(track.poses.tip)[waiting]
+    reach = process.removal.window.reach(stock.spacing)
+    lower = np.minimum(least, before.min(axis=0)) - reach
+    upper = np.maximum(most, before.max(axis=0)) + reach
+    return pieces.parted(stock, lower, upper)
+
+
+def _with_pieces(
+    state: RunState, pieces: StockPieces, counts: Sequence[int]
+) -> RunState:
+    """State at the start of a segment with other pieces of the stock."""
+    stock = pieces.stock(state.process.stock, counts)
+    cut_by = tuple(rays.poses for rays in stock.families)
+    numbered = tuple(rays.numbered() for rays in stock.families)
+    return eqx.tree_at(
+        lambda s: (s.process.stock.families, s.process.slots, s.cut_by),
+        state,
+        (numbered, on_device(np.array(pieces.most_on_a_ray(), np.int32)), cut_by),
+    )
 
 
 def _with_stock_of(process: Process, state: RunState) -> Process:
     """Process with the stock of a state: its own would be carried along beside it."""
     return eqx.tree_at(lambda p: p.stock, process, state.process.stock)
-
-
-def _widened(state: RunState, counts: Sequence[int]) -> RunState:
-    """State at the start of a segment with more slots, empty ones behind its own."""
-    families, cut_by = [], []
-    assert state.cut_by is not None
-    pairs = zip(state.process.stock.families, state.cut_by, counts, strict=True)
-    for rays, ticks, count in pairs:
-        more = (*rays.ends.shape[:3], count - rays.ends.shape[3])
-        dead = jnp.asarray([Rays.DEAD, -Rays.DEAD], rays.ends.dtype)[:, None]
-        ends = jnp.concatenate([rays.ends, jnp.broadcast_to(dead, more)], axis=3)
-        # What no pose has cut remembers its slot.
-        raw = -1 - jnp.arange(rays.ends.shape[3], count, dtype=ticks.dtype)
-        ticks = jnp.concatenate([ticks, jnp.broadcast_to(raw, more)], axis=3)
-        families.append(Rays(ends, ticks).numbered())
-        cut_by.append(ticks)
-    stock = lambda s: (s.process.stock.families, s.cut_by)
-    return eqx.tree_at(stock, state, (tuple(families), tuple(cut_by)))
 
 
 def _add_volumes(

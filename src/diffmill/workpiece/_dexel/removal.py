@@ -114,6 +114,14 @@ class RemovalWindow(eqx.Module):
         has_shank = length > cutter.flute_length
         return cls((counts[0], counts[1], counts[2]), slack, length, has_shank)
 
+    def reach(self, spacing: float) -> Float[np.ndarray, " 3"]:
+        """Distance from a tip along each axis behind which no window lies [m], (3,)."""
+        # An upright tool stands in the middle of its window, another one at an end.
+        sizes = np.array(self.sizes)
+        return spacing * (
+            np.where([self.length == 0] * 2 + [False], sizes // 2, sizes) + 2
+        )
+
     def remove_poses(
         self,
         stock: Stock,

@@ -87,6 +87,60 @@ class Rays(eqx.Module):
         return jnp.max(jnp.where(is_live, place, 0))
 
 
+class RayPieces(eqx.Module):
+    """Pieces of the rays of one family, ray by ray.
+
+    Attributes:
+        ray: Number of the ray of each, in the order of memory, shape (piece,).
+        ends: Lower and upper end [m], shape (piece, 2).
+        poses: Ticks at which these ends were cut, as of `Rays`, same shape.
+    """
+
+    ray: Int[np.ndarray, " piece"]
+    ends: Float[np.ndarray, "piece 2"]
+    poses: Int[np.ndarray, "piece 2"]
+
+    @classmethod
+    def of(cls, rays: Rays) -> "RayPieces":
+        """Pieces of a family of rays."""
+        ends, poses = (
+            np.asarray(x).reshape(-1, 2, x.shape[-1]) for x in (rays.ends, rays.poses)
+        )
+        ray, slot = np.nonzero(ends[:, 1] > ends[:, 0])
+        return cls(ray.astype(np.int32), ends[ray, :, slot], poses[ray, :, slot])
+
+    def __getitem__(
+        self, which: Bool[np.ndarray, " piece"] | Int[np.ndarray, " some"]
+    ) -> "RayPieces":
+        """Return some of the pieces."""
+        return jax.tree.map(lambda x: x[which], self)
+
+    def joined(self, other: "RayPieces") -> "RayPieces":
+        """These pieces and others of the same rays."""
+        both = jax.tree.map(lambda *x: np.concatenate(x), self, other)
+        return both[np.argsort(both.ray, kind="stable")]
+
+    def most_on_a_ray(self) -> int:
+        """Largest number of pieces of a ray."""
+        return int(np.bincount(self.ray).max(initial=0))
+
+    def rays(self, like: Rays, count: int) -> Rays:
+        """Rays that hold the pieces in their first slots.
+
+        Args:
+            like: Rays on the same grid.
+            count: Slots of a ray.
+        """
+        shape = (*like.ends.shape[:2], 2, count)
+        ends = np.empty((shape[0] * shape[1], 2, count), self.ends.dtype)
+        ends[:, 0], ends[:, 1] = Rays.DEAD, -Rays.DEAD
+        poses = np.full(ends.shape, -1, self.poses.dtype)
+        # How many of the pieces before are of the same ray.
+        slot = np.arange(self.ray.size) - np.searchsorted(self.ray, self.ray)
+        ends[self.ray, :, slot], poses[self.ray, :, slot] = self.ends, self.poses
+        return Rays(on_device(ends.reshape(shape)), on_device(poses.reshape(shape)))
+
+
 class RayEnds(eqx.Module):
     """Ends of the intervals of one family, on the host.
 
@@ -201,17 +255,14 @@ class Stock(eqx.Module):
                 intervals that there are.
         """
         check_interval_counts(interval_counts)
-        ends = [np.asarray(rays.ends) for rays in self.families]
-        counts = [(e[:, :, 1] > e[:, :, 0]).sum(axis=-1) for e in ends]
-        needed = tuple(int(count.max(initial=0)) for count in counts)
+        pieces = StockPieces.of(self)
+        needed = pieces.most_on_a_ray()
         if any(n > count for n, count in zip(needed, interval_counts, strict=True)):
             raise ValueError(
                 f"Argument `interval_counts` is {interval_counts}, but rays of the "
                 f"stock have up to {needed} intervals along x, y and z."
             )
-        pairs = zip(self.families, interval_counts, strict=True)
-        x, y, z = (_resized(rays, count) for rays, count in pairs)
-        return dataclasses.replace(self, families=(x, y, z))
+        return pieces.stock(self, interval_counts)
 
     @staticmethod
     def memory_of_block(
@@ -274,6 +325,79 @@ class Stock(eqx.Module):
             lambda x: x.astype(dtype) if jnp.issubdtype(x.dtype, jnp.floating) else x,
             self,
         )
+
+
+class StockPieces(eqx.Module):
+    """Pieces of all rays of a stock.
+
+    Attributes:
+        families: Those of the rays along x, y and z.
+    """
+
+    families: tuple[RayPieces, RayPieces, RayPieces]
+
+    @classmethod
+    def of(cls, stock: Stock) -> "StockPieces":
+        """Pieces of a stock."""
+        x, y, z = (RayPieces.of(rays) for rays in stock.families)
+        return cls((x, y, z))
+
+    @classmethod
+    def none(cls, like: Stock) -> "StockPieces":
+        """No pieces, of a stock on this grid."""
+        end, tick = np.asarray(like.origin).dtype, np.int32
+        one = RayPieces(
+            np.zeros(0, tick), np.zeros((0, 2), end), np.zeros((0, 2), tick)
+        )
+        return cls((one, one, one))
+
+    def parted(
+        self,
+        stock: Stock,
+        lower: Float[np.ndarray, " 3"],
+        upper: Float[np.ndarray, " 3"],
+    ) -> tuple["StockPieces", "StockPieces"]:
+        """Pieces that reach into a box, whole, and those that do not.
+
+        Args:
+            stock: A stock on the same grid.
+            lower: Least x, y, z of the box [m], shape (3,).
+            upper: Greatest x, y, z of the box [m], shape (3,).
+        """
+        origin, near, far = np.asarray(stock.origin), [], []
+        for f, pieces in enumerate(self.families):
+            b, c = (f + 1) % 3, (f + 2) % 3
+            is_near = (pieces.ends[:, 0] <= upper[f]) & (pieces.ends[:, 1] >= lower[f])
+            indices = np.divmod(pieces.ray, stock.grid_shape[c])
+            for axis, index in zip((b, c), indices, strict=True):
+                place = origin[axis] + stock.spacing * index
+                is_near &= (lower[axis] <= place) & (place <= upper[axis])
+            near.append(pieces[is_near])
+            far.append(pieces[~is_near])
+        return StockPieces(tuple(near)), StockPieces(tuple(far))
+
+    def joined(self, other: "StockPieces") -> "StockPieces":
+        """These pieces and others of the same rays."""
+        pairs = zip(self.families, other.families, strict=True)
+        x, y, z = (own.joined(more) for own, more in pairs)
+        return StockPieces((x, y, z))
+
+    def most_on_a_ray(self) -> tuple[int, int, int]:
+        """Largest numbers of pieces of a ray along x, y and z."""
+        x, y, z = (pieces.most_on_a_ray() for pieces in self.families)
+        return x, y, z
+
+    def stock(self, like: Stock, interval_counts: Sequence[int]) -> Stock:
+        """Stock of the pieces.
+
+        Args:
+            like: A stock on the same grid.
+            interval_counts: Slots of a ray along x, y and z, at least
+                `most_on_a_ray`.
+        """
+        rays = zip(self.families, like.families, interval_counts, strict=True)
+        x, y, z = (own.rays(other, count) for own, other, count in rays)
+        return dataclasses.replace(like, families=(x, y, z))
 
 
 def box(
@@ -366,18 +490,3 @@ def block_grid(
     cells = np.maximum(np.round((upper - lower) / spacing), 1).astype(int)
     first = (lower + upper) / 2 - (cells - 1) / 2 * spacing
     return first - MARGIN * spacing, cells + 2 * MARGIN
-
-
-def _resized(rays: Rays, count: int) -> Rays:
-    """Rays with another number of slots, no fewer than they need."""
-    ends, poses = np.asarray(rays.ends), np.asarray(rays.poses)
-    is_live = ends[:, :, 1] > ends[:, :, 0]
-    # The live slots first, then cut off or pad with dead ones.
-    order = np.argsort(~is_live, axis=-1, kind="stable")[:, :, None]
-    shape = (*ends.shape[:2], 2, count)
-    new_ends, new_poses = np.empty(shape, ends.dtype), np.full(shape, -1, np.int32)
-    new_ends[:, :, 0], new_ends[:, :, 1] = Rays.DEAD, -Rays.DEAD
-    common = min(count, ends.shape[-1])
-    new_ends[..., :common] = np.take_along_axis(ends, order, axis=-1)[..., :common]
-    new_poses[..., :common] = np.take_along_axis(poses, order, axis=-1)[..., :common]
-    return Rays(jnp.asarray(new_ends), jnp.asarray(new_poses))
