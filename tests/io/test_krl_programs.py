@@ -54,6 +54,16 @@ def test_arrays_and_structures(read):
     assert found == [(1, 2, 3), (1.5, 2, 3), (5, 6, 7), (1, 2, 3)]
 
 
+def test_places_that_are_written_out_have_values_of_any_kind(read, faults):
+    rows = ["STRUC LAYER INT N,CHAR NAME[8],REAL DEPTH", "INT I", "DECL FRAME S"]
+    rows += ['DECL LAYER L={N 7,NAME[] "a",DEPTH .5}', "S={X 4,Y 3,S 'B011'}"]
+    rows += ["FOR I=1 TO 2", "LIN {X I*10,Y -L.DEPTH,Z L.N/2}", "ENDFOR", "LIN S"]
+    # 7/2 is a quotient of whole numbers.
+    assert places(read(krl(*rows))) == [(10, -0.5, 3), (20, -0.5, 3), (4, 3, 3)]
+    for row in ("LIN {X 1,Q 2}", "$BASE={X 1,Q 2}", "$TOOL={X 1E11}", "LIN {X W}"):
+        assert faults(krl(row))[0][0] == 4
+
+
 def test_frames_in_frames(read):
     # F turns by 90 deg about z: x of what is in it is y above.
     rows = [

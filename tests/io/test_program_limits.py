@@ -126,6 +126,15 @@ def test_values_blocks_and_faults_without_end_are_bounded(tmp_path, suffix, text
     assert part in refused(lambda: read_program(file))
 
 
+@pytest.mark.parametrize("value", [f"{'1+' * 300}1", f"[{'w,' * 300}1]"])
+def test_an_expression_has_a_bounded_number_of_values(tmp_path, value, monkeypatch):
+    monkeypatch.setattr("diffmill.io._programs.expressions.MOST_OPERANDS", 300)
+    file = tmp_path / "many.mod"
+    file.write_text(rapid(f"VAR num a:={value};\n"))
+    assert "line 2" in (message := refused(lambda: read_program(file)))
+    assert "an expression has more than 300 values" in message
+
+
 BOUND = """
 import time
 from diffmill.io import ProgramError
@@ -137,6 +146,34 @@ except ProgramError as error:
     print(time.process_time() - begin, error)
 """
 LOOP = "FOR i FROM 1 TO 100000 DO\n{}\nENDFOR\n"
+
+
+READ = """
+import time
+from diffmill.io import read_program
+begin = time.process_time()
+print(len(read_program("{}").moves), time.process_time() - begin)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("suffix", [".mod", ".src"])
+def test_many_declared_places_are_read_in_little_time(tmp_path, suffix):
+    # Declarations of 4 MB in one line, or 10 MB in many; apart, as the million lines.
+    target, count = TARGET.format("5.5"), 71_000
+    head = f"CONST robtarget p{{{count}}}:=[{','.join([target] * count)}];\n"
+    (tmp_path / "part.mod").write_text(
+        rapid(head, "MoveJ p{1},v9,fine,tool0;\nMoveL Offs(p{2},5,0,0),v9,z1,tool0;\n")
+    )
+    rows = "\n".join(
+        f"DECL E6POS P{k}={{X {k}.5,Y 2,Z 3,A 0,B 0,C 180,S 2,T 35,E1 0,E2 0}}"
+        for k in range(130_000)
+    )
+    (tmp_path / "part.dat").write_text(f"DEFDAT part\n{rows}\nENDDAT\n")
+    (tmp_path / "part.src").write_text("DEF part()\n$VEL.CP=1\nPTP P0\nLIN P1\nEND\n")
+    code = READ.format(f"part{suffix}")
+    moves, spent = python(code, cwd=tmp_path, check=True).stdout.split()
+    assert moves == "2" and float(spent) < 10.0
 
 
 @pytest.mark.slow

@@ -59,6 +59,13 @@ def test_loops_and_branches(read, rows, xs):
     assert found == pytest.approx(xs)
 
 
+def test_targets_that_are_written_out_have_expressions(read):
+    head = "VAR num m{2,3}:=[[1,2,3],[4,-i+5,+.6e1]];\n"
+    rows = f"i:=2;\n{to(TARGET.format('10*i', 'm{2,1}', 'r{1,1}'))}"
+    rows += to("[[m{2,2},m{2,3},1.],[0,1,0,0],[0,0,0,0],[9E9,9E9,9E9,9E9,9E9,9E9]]")
+    assert places(read(rapid(head + rows), ".mod")) == [(20, 4, 0), (5, 6, 1)]
+
+
 def test_arrays_and_records(read):
     rows = "q:=p;\nq.trans.x:=q.trans.x+0.5;\nr{2,3}:=4;\nq.trans.z:=r{2,3};\n"
     rows += (

@@ -29,13 +29,6 @@ Action = Callable[["Machine"], None]
 _OTHER = {"if": "IF", "while": "WHILE", "do": "DO", "repeat": "REPEAT", "for": "FOR"}
 
 
-class _Step(NamedTuple):
-    """A step: its line, and what it does."""
-
-    line: int
-    action: Action
-
-
 class Routine(NamedTuple):
     """A routine.
 
@@ -79,7 +72,8 @@ class Code:
     """Steps of a program.
 
     Attributes:
-        steps: The steps so far.
+        steps: What each step so far does.
+        lines: Line of each.
         routines: Routines by name.
         faults: What is wrong with its blocks.
         long_lines: How many steps more each step of a long line counts for.
@@ -87,7 +81,9 @@ class Code:
     """
 
     def __init__(self) -> None:
-        self.steps: list[_Step] = []
+        # Two lists: an object for each of a million steps would cost more time.
+        self.steps: list[Action] = []
+        self.lines: list[int] = []
         self.routines: dict[str, Routine] = {}
         self.faults: list[Fault] = []
         self.long_lines: dict[int, int] = {}
@@ -103,7 +99,8 @@ class Code:
 
     def plain(self, line: int, action: Action) -> None:
         """Append a step that goes on to the next one, or sets `Machine.at`."""
-        self.steps.append(_Step(line, action))
+        self.steps.append(action)
+        self.lines.append(line)
 
     def assign(self, line: int, place: Variable, value: Expression) -> None:
         """Append an assignment."""
@@ -499,14 +496,14 @@ class Machine:
 
     def _run(self, depth: int) -> None:
         """Carry steps out until calls are as deep, or the program ends."""
-        steps, long_lines = self.code.steps, self.code.long_lines
-        end = len(steps)
+        steps, lines = self.code.steps, self.code.lines
+        end, long_lines = len(steps), self.code.long_lines
         # What is carried out once is no repetition.
         most = end + MOST_REPEATED
         if long_lines:
-            most += sum(long_lines.get(step.line, 0) for step in steps)
+            most += sum(long_lines.get(line, 0) for line in lines)
         while self.at < end and len(self._calls) > depth:
-            self.line, action = steps[self.at]
+            self.line, action = lines[self.at], steps[self.at]
             self.at += 1
             self._step_count += 1 + long_lines.get(self.line, 0)
             if self._step_count > most:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple, TypeAlias
 
 from .faults import ProgramError
-from .limits import MOST_COPIED, MOST_VALUES
+from .limits import MOST_COPIED, MOST_OPERANDS, MOST_VALUES
 
 # A list is an array, counted from 1, a dictionary a structure; None has no value yet.
 Value: TypeAlias = int | float | bool | str | list[Any] | dict[str, Any] | None
@@ -264,7 +264,8 @@ class Grammar:
 
     Attributes:
         token: Pattern of a token; its groups `number`, `name`, `text` (a string, with
-            its quotes) and `sign` tell what it is.
+            its quotes), `literal` (an array or a structure of numbers alone) and `sign`
+            tell what it is.
         binary: Operators between operands by precedence, the weakest first.
         unary: Operators before an operand, with the index in `binary` of the weakest
             operators that their operand has in it.
@@ -272,6 +273,7 @@ class Grammar:
         constants: Values of names.
         brackets: Those around an operand, around arguments and around an index; an
             empty index is none.
+        literal: Value of a literal.
         operand: Reader of operands that only this language has; None for no such one.
         is_calling: Whether any name may be a function, which `call` then carries out.
     """
@@ -282,6 +284,7 @@ class Grammar:
     functions: Mapping[str, Callable[..., Value]]
     constants: Mapping[str, Value] = field(default_factory=dict)
     brackets: tuple[str, str, str] = ("()", "()", "[]")
+    literal: Callable[[str], Value] = str
     operand: "Callable[[Parser], Expression | None]" = _no_operand
     call: Callable[[str, list[Expression]], Expression] | None = None
 
@@ -302,17 +305,18 @@ class Parser:
 
     def __init__(self, text: str, grammar: Grammar, at: int = 0):
         self.text, self.grammar, self.at = text, grammar, at
-        self._depth = 0
+        self._depth = self._count = 0
         self._read_token()
 
     def _read_token(self) -> None:
         match = self.grammar.token.match(self.text, self.at)
-        self.kind = (match.lastgroup or "") if match else ""
-        self.word, self._end = "", self.at
-        if match and self.kind:
-            self.word, self._end = match[self.kind], match.end()
-            if self.kind != "text":
-                self.word = self.word.upper()
+        if match is None or match.lastgroup is None:
+            self.kind, self.word, self._end = "", "", self.at
+            return
+        self.kind, self._end = match.lastgroup, match.end()
+        self.word = match[self.kind]
+        if self.kind != "text":
+            self.word = self.word.upper()
 
     def advance(self) -> str:
         """Take the next token; return its word."""
@@ -358,9 +362,15 @@ class Parser:
         if self._depth > _DEEPEST_OPERAND:
             message = f"brackets and signs are nested deeper than {_DEEPEST_OPERAND}."
             raise ExpressionError(self.text[self.at :], message)
+        self._count += 1
+        if self._count > MOST_OPERANDS:
+            message = f"an expression has more than {MOST_OPERANDS} values."
+            raise ExpressionError(self.text[self.at :], message)
         grammar, (opening, closing) = self.grammar, self.grammar.brackets[0]
         if self.kind == "number":
             value = constant(number_of(self.advance()))
+        elif self.kind == "literal":
+            value = constant(grammar.literal(self.advance()))
         elif (value := grammar.operand(self)) is not None:
             pass
         elif self.kind == "text":
@@ -431,10 +441,7 @@ class Parser:
 
 def number_of(text: str) -> float | int:
     """Value of a number as written, a whole one without a point as such."""
-    try:
-        return int(text) if len(text) < 20 else float(text)
-    except ValueError:
-        return float(text)
+    return int(text) if text.isdecimal() and len(text) < 20 else float(text)
 
 
 def constant(value: Value) -> Expression:
@@ -500,7 +507,8 @@ def evaluated(expression: Expression, variables: Variables) -> Value:
 
 # A number as robot programs write it.
 NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
-_BRACKET = re.compile(r"[\[\](){},]")
+# Brackets with none in them are one match.
+_BRACKET = re.compile(r"[\[({][^\[\](){}]*[\])}]|[\[\](){},]")
 
 
 def split_arguments(text: str) -> list[str]:
@@ -512,6 +520,6 @@ def split_arguments(text: str) -> list[str]:
             if depth == 0:
                 out.append(text[begun:index].strip())
                 begun = index + 1
-        else:
+        elif len(sign) == 1:
             depth += 1 if sign in "[({" else -1
     return [*out, text[begun:].strip()]

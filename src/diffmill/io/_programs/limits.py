@@ -23,6 +23,8 @@ MOST_REPEATED = 250_000
 DEEPEST_CALLS = DEEPEST_BLOCKS = 100
 MOST_VALUES = 2_000_000
 MOST_COPIED = 20_000_000
+# Values of an expression; numbers in brackets with nothing else are one.
+MOST_OPERANDS = 300_000
 # Characters of a line that loops may carry out at the cost of one.
 LINE_OF_ONE_STEP = 60
 MOST_DIGITS = 300

@@ -5,7 +5,6 @@ PTP, LIN, CIRC, their spline forms and SPLINE blocks with SPL, $BASE, $TOOL, $VE
 C_DIS and the like, WAIT SEC. A spline is a cubic one in time through its points.
 """
 
-import contextlib
 import dataclasses
 import functools
 import itertools
@@ -46,9 +45,8 @@ from ..text import read_text, split_lines
 from .krl_frames import KrlFrames, is_known, numbered_base
 from .krl_values import KrlValues
 from .language import Language, Statement
-from .reader import ExternalAxes, Reader
+from .reader import ExternalAxes
 
-_COMPONENT = re.compile(rf"\s*([A-Z]\d?)\s+({NUMBER})\s*", re.IGNORECASE)
 # Speed of the tip, alone or with the speeds at which the tool turns.
 _VELOCITY = re.compile(r"\$VEL\s*(?:\.CP\s*)?=\s*(.+)", re.IGNORECASE)
 _VELOCITIES = re.compile(
@@ -77,8 +75,6 @@ _ANGLE = re.compile(rf"CA\s*=?\s*({NUMBER})", re.IGNORECASE)
 _APPROXIMATION = re.compile(r"\s+C_(?:DIS|VEL|ORI|PTP|SPL)\b.*$", re.IGNORECASE)
 _WITH = re.compile(r"(?:^|\s)WITH\s+", re.IGNORECASE)
 _ASSIGNED = re.compile(r"\$(\w+(?:\.\w+)?)\s*=\s*(.+)", re.IGNORECASE)
-# Status and turn say which way the joints reach a place.
-_BITS = re.compile(r"\s*([ST])\s+'([BH])([0-9A-F]+)'\s*", re.IGNORECASE)
 _TIME = re.compile(
     rf"TIME_BLOCK\s+(START|PART\s*=\s*({NUMBER})|END\s*=\s*({NUMBER}))",
     re.IGNORECASE,
@@ -159,7 +155,7 @@ class _Krl(Language):
         # Feed, frames and turns outside of the spline block.
         self.outer_feed: float | None = None
         self.outer_frames = self.base_and_tool.chosen
-        self.outer_turns = dict(self.turns)
+        self.outer_turns = self.turns
 
     def _missing(self, name: Name) -> Value:
         """Value of a variable of the controller."""
@@ -337,9 +333,7 @@ def _declare_data(row: str, line: int, reader: _Krl) -> bool:
         if match := _INLINE_DATA.fullmatch(row):
             reader.known.declare_data(match[1], match[2], values)
             return True
-        return reader.known.declare(
-            row, lambda text: _components(text, line, reader), values
-        )
+        return reader.known.declare(row, values)
     except ExpressionError as error:
         reader.refuse(line, error.word or row, str(error))
         return True
@@ -362,37 +356,17 @@ def _bare(row: str) -> str:
     return " ".join(row.split(";")[0].split())
 
 
-def _components(text: str, line: int, reader: Reader) -> dict[str, float]:
-    """Return the components of {X 1,Y 2,...}, by upper-case name."""
-    components: dict[str, float] = {}
-    inside = text.strip()[1:-1]
-    inside = inside.split(":", 1)[1] if ":" in inside else inside
-    for part in inside.split(","):
-        if bits := _BITS.fullmatch(part):
-            base = 2 if bits[2] in "Bb" else 16
-            with contextlib.suppress(ValueError):
-                components[bits[1].upper()] = float(int(bits[3], base))
-            continue
-        match = _COMPONENT.fullmatch(part)
-        if match is None:
-            reader.refuse(line, part, "a component is a name and a number.")
-            return {}
-        value = bounded_number(match[2])
-        if math.isnan(value):
-            reader.refuse(line, part, f"a number is {LARGEST_NUMBER:g} at most.")
-            return {}
-        components[match[1].upper()] = value
-    return components
-
-
 def _statement(row: str, line: int, reader: _Krl) -> None:
     """Carry out one statement."""
-    word = row.split()[0].split("(")[0].upper()
     if message := fault_of_statement(row):
         reader.refuse(line, row, message)
-    elif match := _MOTION.fullmatch(row):
+        return
+    # Most are motions.
+    if match := _MOTION.fullmatch(row):
         _motion(match[1].upper(), match[3], line, reader, is_relative=bool(match[2]))
-    elif match := _VELOCITY.fullmatch(row):
+        return
+    word = row.split()[0].split("(")[0].upper()
+    if match := _VELOCITY.fullmatch(row):
         _set_speed(match[1], row, line, reader)
     elif (match := _ASSIGNED.fullmatch(row)) and match[1].upper() in _FRAMES:
         _set_frame(match[1].upper(), match[2], line, reader)
@@ -489,7 +463,7 @@ def _set_turn(name: str, value: str, line: int, reader: _Krl) -> None:
     elif word != "BASE":
         sentence = "ends are as stated; between them the tool turns evenly here"
         reader.out.note(f"${name}", sentence, line)
-    reader.turns[name] = word
+    reader.turns = reader.turns | {name: word}
 
 
 def _set_frame(kind: str, value: str, line: int, reader: _Krl) -> None:
@@ -505,11 +479,7 @@ def _set_frame(kind: str, value: str, line: int, reader: _Krl) -> None:
         is_name = re.fullmatch(
             r"[$\w\s]+|TOOL_DATA\s*\[\s*\d+\s*\]", value, re.IGNORECASE
         )
-        written = (
-            None
-            if is_name and not value.startswith("{")
-            else _stated(value, line, reader)
-        )
+        written = None if is_name else reader.known.frame(value)
         frames.choose_tool(value, reader.known, written)
     elif kind == "IPO_MODE":
         is_external = value.upper() == "#TCP" or (data is not None and data.is_external)
@@ -523,16 +493,8 @@ def _set_frame(kind: str, value: str, line: int, reader: _Krl) -> None:
         frames.choose_base(numbered_base(data.base, reader.known), line)
     else:
         name = "".join(value.upper().split())
-        frame = _stated(value, line, reader) if value.startswith("{") else None
-        frame = reader.known.frame(value) if frame is None else frame
+        frame = reader.known.frame(value)
         frames.choose_base({name: 0.0} if frame is None else frame, line)
-
-
-def _stated(text: str, line: int, reader: _Krl) -> dict[str, float] | None:
-    """Components of a place that is written out, in numbers or as an expression."""
-    if re.fullmatch(r"\{[^{}]*\}", text):
-        return _components(text, line, reader)
-    return reader.known.frame(text)
 
 
 def _basic(kind: str, value: str, row: str, line: int, reader: _Krl) -> None:
@@ -567,9 +529,6 @@ def _set_with(text: str, line: int, reader: _Krl) -> None:
 
 def _pose(text: str, line: int, reader: _Krl) -> dict[str, float] | None:
     """Return the components of a position that is written out or declared."""
-    text = text.strip()
-    if text.startswith("{") and text.find("}") == len(text) - 1:
-        return _components(text, line, reader)
     pose = reader.known.frame(text)
     if not pose and _HOME.fullmatch(text):
         return dict.fromkeys(_JOINTS, 0.0)
@@ -586,8 +545,10 @@ def _motion(
     kind: str, words: str, line: int, reader: _Krl, *, is_relative: bool = False
 ) -> None:
     """Carry out a motion."""
-    along = _RELATIVE_TO.search(words)
-    words, *extra = _WITH.split(_RELATIVE_TO.sub("", words), maxsplit=1)
+    along = _RELATIVE_TO.search(words) if is_relative else None
+    if along is not None:
+        words = _RELATIVE_TO.sub("", words)
+    words, *extra = _WITH.split(words, maxsplit=1)
     words = _APPROXIMATION.sub("", words).strip()
     parts = [words]
     if words.find("}") != len(words) - 1:
@@ -602,14 +563,14 @@ def _motion(
         reader.refuse(line, words, f"{kind} needs {wanted} position(s).")
         return
     poses = [_pose(part, line, reader) for part in parts]
-    if any(pose is None for pose in poses):
-        return
     stated = [pose for pose in poses if pose is not None]
+    if len(stated) < wanted:
+        return
     axes = {key: at for key, at in stated[-1].items() if key in _EXTERNAL}
     if is_relative and any(axes.values()):
         reader.refuse(line, words, "a relative motion of an external axis.")
     reader.external |= {} if is_relative else axes
-    if _JOINTS & set(stated[-1]):
+    if not _JOINTS.isdisjoint(stated[-1]):
         message = "goes to joint angles; the motion is taken up at the next position"
         reader.out.note(kind, message, line)
         reader.lose_place(line)
@@ -620,8 +581,7 @@ def _motion(
         if reader.out.moves:
             message = "after a motion of joints or another tool, state X, Y and Z."
             reader.refuse(line, words, message)
-    before, chosen = reader.feed, reader.base_and_tool.chosen
-    turns = dict(reader.turns)
+    before = reader.feed, reader.base_and_tool.chosen, reader.turns
     if extra:
         _set_with(_APPROXIMATION.sub("", extra[0]), line, reader)
     reader.base_and_tool.take(line, reader)
@@ -639,18 +599,18 @@ def _motion(
             for pose in stated
         ]
     _take_orientation(stated[-1], line, reader)
-    middle = _apply(stated[0], dict(reader.values))
-    reader.values = _apply(stated[-1], reader.values)
+    values = reader.values
+    reader.values = values | stated[-1]
     place = _place(reader.values, reader)
     if reader.spline is not None:
         if turn is not None:
             reader.refuse(line, turn[0], "in a SPLINE block, leave CA out.")
         reader.spline.append(_Knot(place, line, kind))
-        reader.spline[-1].through = _place(middle, reader).tip
+        reader.spline[-1].through = _place(values | stated[0], reader).tip
         reader.spline[-1].feed = reader.feed
     elif kind in ("CIRC", "SCIRC"):
         angle = None if turn is None else math.radians(bounded_number(turn[1]))
-        through, axis = _place(middle, reader).tip, place.axis
+        through, axis = _place(values | stated[0], reader).tip, place.axis
         reader.arc_to(through, place.tip, axis, line, angle=angle, tool_x=place.tool_x)
         x, y, z = (1e3 * value for value in reader.position)
         reader.values |= {"X": x, "Y": y, "Z": z}
@@ -662,7 +622,7 @@ def _motion(
         is_rapid = kind in ("PTP", "SPTP")
         tip, axis, tool_x = place
         reader.line_to(tip, axis, line, is_rapid=is_rapid, tool_x=tool_x)
-    reader.feed, reader.base_and_tool.chosen, reader.turns = before, chosen, turns
+    reader.feed, reader.base_and_tool.chosen, reader.turns = before
 
 
 def _take_orientation(pose: dict[str, float], line: int, reader: _Krl) -> None:
@@ -672,7 +632,7 @@ def _take_orientation(pose: dict[str, float], line: int, reader: _Krl) -> None:
         reader.out.note("A, B, C", sentence, line)
         return
     if reader.first_angles is None:
-        angles = _apply(pose, reader.values)
+        angles = reader.values | pose
         reader.first_angles = (angles["A"], angles["B"], angles["C"])
         if "S" in pose and "T" in pose:
             reader.first_status = (pose["S"], pose["T"])
@@ -684,20 +644,15 @@ def _moved(
 ) -> dict[str, float]:
     """Components of the end of a relative motion [mm]."""
     values = reader.values
-    step = np.array([pose.get(key, 0.0) for key in "XYZ"])
-    if any(pose.get(key) for key in "ABC"):
+    step = [pose.get(key, 0.0) for key in "XYZ"]
+    if pose.get("A") or pose.get("B") or pose.get("C"):
         reader.refuse(line, row, "a relative motion that turns is not supported.")
     if not reader.is_placed:
         reader.refuse(line, row, "a relative motion needs a stated place before it.")
     if is_tool:
-        step = rotation_of_abc(values["A"], values["B"], values["C"]) @ step
-    moved = zip("XYZ", step.tolist(), strict=True)
-    return {key: values[key] + value for key, value in moved}
-
-
-def _apply(pose: dict[str, float], values: dict[str, float]) -> dict[str, float]:
-    """Return the values with those that a position states."""
-    return {key: pose.get(key, value) for key, value in values.items()}
+        R = rotation_of_abc(values["A"], values["B"], values["C"])
+        step = (R @ np.array(step)).tolist()
+    return {key: values[key] + by for key, by in zip("XYZ", step, strict=True)}
 
 
 def _place(values: dict[str, float], reader: _Krl) -> ToolPlace:
@@ -738,7 +693,7 @@ def _spline(word: str, row: str, line: int, reader: _Krl) -> None:
     if word == "SPLINE":
         reader.outer_feed, reader.spline = reader.feed, []
         reader.outer_frames = reader.base_and_tool.chosen
-        reader.outer_turns = dict(reader.turns)
+        reader.outer_turns = reader.turns
         for text in _WITH.split(row, maxsplit=1)[1:]:
             _set_with(text, line, reader)
         return

@@ -127,8 +127,8 @@ class KrlFrames:
         elif (data := self.named(value)) is not None and data.tool is not None:
             tool = _numbered_tool(data.tool, frames)
         else:
-            known = _NULL if name == "$NULLFRAME" else frames.frame(name)
-            tool = KrlTool(name, None, frame if frame is not None else known)
+            frame = frames.frame(name) if frame is None else frame
+            tool = KrlTool(name, None, _NULL if name == "$NULLFRAME" else frame)
         self.chosen = self.chosen._replace(tool=tool)
 
     def choose_external(self, is_external: bool) -> None:

@@ -17,14 +17,20 @@ from ..expressions import (
     Parser,
     Value,
     Variables,
+    number_of,
     split_arguments,
 )
 from ..geometry import abc_of_rotation, rotation_of_abc
-from ..limits import MOST_VALUES
-from .texts import FUNCTIONS, ORDERS, Texts, logical
+from ..limits import LARGEST_NUMBER, MOST_VALUES
+from .texts import FUNCTIONS, NUMBER, ORDERS, Texts, logical
 
+# A component with a number, and a place of such ones alone.
+_COMPONENT = rf"[A-Z]\w*\s+{NUMBER}"
+_COMPONENTS = re.compile(rf"([A-Z]\w*)\s+({NUMBER})")
 _TOKEN = re.compile(
-    r"\s*(?:(?P<number>(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:E[+-]?[0-9]+)?)"
+    rf"\s*(?:(?P<literal>\{{\s*(?:\w+\s*:\s*)?{_COMPONENT}\s*"
+    rf"(?:,\s*{_COMPONENT}\s*)*\}})"
+    r"|(?P<number>(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:E[+-]?[0-9]+)?)"
     r"|(?P<text>\"[^\"]*\"|'[BH][0-9A-F]+')|(?P<name>[A-Z_$#][\w$]*)"
     r"|(?P<sign>==|<>|<=|>=|[-+*/()\[\],.:{}<>=]))",
     re.IGNORECASE,
@@ -40,7 +46,8 @@ _ASSIGNMENT = re.compile(
 )
 _STRUCTURE = re.compile(
     # No text is a list of components in two ways: a long one is read once.
-    r"(?:(?:GLOBAL|DECL)\s+)*STRU[C]\s+(\w+)\s+(\w+\s+\w+(?: ?, ?\w+(?: \w+)*)*)",
+    r"(?:(?:GLOBAL|DECL)\s+)*STRU[C]\s+(\w+)\s+(\w+\s+\w+(?:\[\d*\])?"
+    r"(?: ?, ?\w+(?: \w+)*(?:\[\d*\])?)*)",
     re.IGNORECASE,
 )
 _AXES = tuple("XYZABC")
@@ -56,6 +63,7 @@ _TYPES: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(("INT", "REAL", "BOOL", "CHAR"), ()),
 }
 _LENGTHS = frozenset({*_AXES, *_EXTERNAL, *_JOINTS})
+_PARTS = _LENGTHS | {"S", "T"}
 Frame = dict[str, float]
 
 
@@ -93,6 +101,20 @@ def _pose(
 
 def _frame(at: Float[np.ndarray, "3"], R: Float[np.ndarray, "3 3"]) -> Value:
     return dict(zip("XYZABC", [*at.tolist(), *abc_of_rotation(R)], strict=True))
+
+
+def _literal(text: str) -> Value:
+    """Structure of components with a number.
+
+    Raises:
+        ExpressionError: If one is too large.
+    """
+    parts = _COMPONENTS.findall(text.upper())
+    values = {n: float(x) if n in _LENGTHS else number_of(x) for n, x in parts}
+    if max(map(abs, values.values())) > LARGEST_NUMBER:
+        message = f"a number is {LARGEST_NUMBER:g} at most."
+        raise ExpressionError(text, message)
+    return values
 
 
 def _operand(parser: Parser) -> Expression | None:
@@ -173,6 +195,7 @@ class KrlValues:
                 "$NULLFRAME": dict.fromkeys("XYZABC", 0.0),
                 "$WORLD": dict.fromkeys("XYZABC", 0.0),
             },
+            literal=_literal,
             operand=_operand,
             call=call,
         )
@@ -191,34 +214,35 @@ class KrlValues:
         return str(self.variables.get(key)) if key in self.variables else ""
 
     def frame(self, text: str) -> Frame | None:
-        """Components of a place that an expression is; None if it is none."""
-        name = text.upper()
-        try:
-            # Most are names.
-            is_name = name in self.variables
-            value = self.variables.get(name) if is_name else self.texts.value(text)
-        except ExpressionError:
-            return None
-        return components_of(value)
+        """Components of a place that an expression is; None if it is none.
 
-    def declare(
-        self,
-        row: str,
-        literal: Callable[[str], Frame | None],
-        values: dict[Name, Value] | None,
-    ) -> bool:
+        Raises:
+            ExpressionError: If it is written out, with a fault.
+        """
+        is_written = text.startswith("{")
+        try:
+            frame = components_of(self.texts.value(text))
+        except ExpressionError:
+            if is_written:
+                raise
+            return None
+        if frame is None and is_written:
+            message = "a place has X, Y, Z, A, B, C, S, T, and A1 to A6, E1 to E6."
+            raise ExpressionError(text, message)
+        return frame
+
+    def declare(self, row: str, values: dict[Name, Value] | None) -> bool:
         """Declare the variables of a row; False if it is no declaration.
 
         Args:
             row: A line without its comment.
-            literal: Reader of a place in numbers; None if it has a fault, and told it.
             values: Those among which they are; None for those of the call at work.
 
         Raises:
             ExpressionError: If an array is too large, or a value has a fault.
         """
         if structure := _STRUCTURE.fullmatch(row):
-            names = [part.split()[-1].upper() for part in structure[2].split(",")]
+            names = re.findall(r"(\w+)(?:\[\d*\])? ?(?:,|$)", structure[2].upper())
             self._types[structure[1].upper()] = tuple(names)
             return True
         match = _DECLARATION.fullmatch(row)
@@ -232,8 +256,12 @@ class KrlValues:
             name, value = item[1].upper(), item[3]
             if value is not None and kind not in ("INT", "REAL", "BOOL", "CHAR"):
                 if self._types.get(kind) and value.startswith("{"):
-                    place = f"{name}{item[2] or ''}"
-                    self._declare_place(place, kind, literal(value), values)
+                    start = self.texts.value(value)
+                    if item[2]:
+                        self.put(f"{name}{item[2]}", start)
+                    else:
+                        start = _whole(self._types[kind], start)
+                        self.variables.declare(name, start, values)
                 continue
             own = self.variables.calls[-1]
             if values is None and name in own:
@@ -257,15 +285,6 @@ class KrlValues:
                 self.variables.declare(name, start, values)
             self.variables.declare(f"type {name}", kind, values)
         return True
-
-    def _declare_place(
-        self, name: str, kind: str, value: Value, values: dict[Name, Value] | None
-    ) -> None:
-        """Keep a place that is declared with its value."""
-        if "[" in name:
-            self.put(name, value)
-            return
-        self.variables.declare(name, _whole(self._types[kind], value), values)
 
     def assign(self, row: str) -> bool:
         """Carry out an assignment; False if a row is none.
@@ -311,7 +330,7 @@ class KrlValues:
 
 def components_of(value: Value) -> Frame | None:
     """Components of a place that have a number; None if a value is no place."""
-    if not isinstance(value, dict) or not set(value) <= {*_LENGTHS, "S", "T"}:
+    if not isinstance(value, dict) or not _PARTS.issuperset(value):
         return None
     return {
         key: float(part) for key, part in value.items() if isinstance(part, int | float)

@@ -1,6 +1,5 @@
 """Base of the readers of KRL and RAPID, whose programs a `Machine` carries out."""
 
-import functools
 import math
 import re
 from collections.abc import Callable, Iterable
@@ -61,6 +60,8 @@ class Language(Reader):
         # Of the choices that are open: what each compares, and its cases.
         self.choices: list[list[str]] = []
         self._labels: dict[str, int] = {}
+        # Texts of statements by their steps.
+        self._rows: dict[int, str] = {}
 
     def use(
         self, texts: Texts, statement: Callable[[str, int], None], equal: str
@@ -192,11 +193,12 @@ class Language(Reader):
 
     def add(self, line: int, row: str) -> None:
         """Append a statement."""
-        # Most lines of long programs are statements: each has as few objects as can be.
-        self.code.plain(line, functools.partial(self._go, line, row))
+        # One action for all statements: a program may have a million.
+        self._rows[len(self.code.steps)] = row
+        self.code.plain(line, self._go)
 
-    def _carry_out_step(self, line: int, row: str, machine: Machine) -> None:
-        self.attempt(line, row)
+    def _carry_out_step(self, machine: Machine) -> None:
+        self.attempt(machine.line, self._rows[machine.at - 1])
         if len(self.faults) > SHOWN_FAULTS:
             machine.stop()
 

@@ -35,7 +35,7 @@ from ..geometry import (
     tool_place,
     tool_rotation,
 )
-from ..limits import bounded_number, fault_of_length, fault_of_statement
+from ..limits import LARGEST_NUMBER, fault_of_length, fault_of_statement
 from ..setup import ProgramSetup
 from .language import Language, Statement
 from .rapid_values import (
@@ -44,7 +44,7 @@ from .rapid_values import (
     numbers_of,
     texts_of_rapid,
 )
-from .reader import ExternalAxes, Reader
+from .reader import ExternalAxes
 
 _DECLARED = re.compile(
     r"(?:(?:LOCAL|TASK)\s+)*(?:CONST|PERS|VAR)\s+(\w+)\s+(\w+)\s*(?:\{([^{}]*)\})?"
@@ -511,23 +511,12 @@ def _declare(match: re.Match[str], line: int, reader: _Rapid) -> None:
         if value is None:
             variables.declare_array(name, sizes, reader.records.made(kind), shared)
             return
-        if kind == "ROBTARGET" and not sizes and value.startswith("["):
-            values = iter(_numbers(value, 17, line, reader))
-            start = _filled(reader.records.made(kind), values)
-        else:
-            start = reader.records.array_of(kind, sizes, reader.texts.value(value))
+        start = reader.records.array_of(kind, sizes, reader.texts.value(value))
     except ExpressionError:
         if kind in _OF_MOTION:
             raise
         start = None
     variables.declare(name, start, shared)
-
-
-def _filled(record: Value, values: Iterator[float]) -> Value:
-    """Record with numbers in their order."""
-    if isinstance(record, dict):
-        return {name: _filled(part, values) for name, part in record.items()}
-    return next(values)
 
 
 def _store_data(kind: str, name: str, value: str, line: int, reader: _Rapid) -> None:
@@ -550,31 +539,18 @@ def _store_data(kind: str, name: str, value: str, line: int, reader: _Rapid) -> 
     (reader.tool_data if kind == "tooldata" else reader.work_objects)[name] = data
 
 
-def _numbers(text: str, count: int, line: int, reader: Reader) -> list[float]:
-    """Return the numbers of nested lists, brackets aside."""
-    parts = text.replace("[", " ").replace("]", " ").split(",")
-    numbers = [bounded_number(part) for part in parts]
-    if len(numbers) != count or any(map(math.isnan, numbers)):
-        reader.refuse(line, text, f"needed are {count} numbers in brackets.")
-        return [0.0] * 3 + [0.0, 0.0, 1.0, 0.0] + [0.0] * (count - 7)
-    return numbers
-
-
 def _pose(text: str, line: int, reader: _Rapid) -> list[float]:
     """Return the numbers of a target: a name, numbers, or one that is moved."""
-    text = text.split("\\ID")[0].strip()
-    if text.startswith("["):
-        return _numbers(text, 17, line, reader)
-    variables = reader.texts.variables
+    text, message = text.split("\\ID")[0].strip(), ""
     try:
-        name = text.upper()
-        value = variables.get(name) if name in variables else reader.texts.value(text)
-        numbers = numbers_of(reader.records.of("ROBTARGET", value))
+        value = reader.records.of("ROBTARGET", reader.texts.value(text))
+        numbers = numbers_of(value)
+        if len(numbers) == 17 and max(map(abs, numbers)) <= LARGEST_NUMBER:
+            return numbers
     except ExpressionError as error:
-        reader.refuse(line, text, f"no robtarget in numbers: {error}")
-        numbers = []
-    if len(numbers) == 17:
-        return numbers
+        message = f": {error}"
+    needed = f"needed is a robtarget, 17 numbers up to {LARGEST_NUMBER:g}"
+    reader.refuse(line, text, f"{needed}{message or '.'}")
     x, y, z = (1e3 * value for value in reader.position)
     return [x, y, z, 0.0, 1.0, *[0.0] * 12]
 
@@ -626,8 +602,6 @@ def _pace(text: str, line: int, reader: _Rapid) -> float | None:
         return value
     if option is not None:
         feed = 1e-3 * value
-    elif name.startswith("["):
-        feed = 1e-3 * _numbers(name, 4, line, reader)[0]
     elif (match := _SPEED.fullmatch(name)) and name.upper() not in reader.kinds:
         feed = 1e-3 * float(match[1])
     else:

@@ -18,10 +18,13 @@ from ..expressions import (
     Variables,
 )
 from ..geometry import quaternion_of_rotation, rotation_of_abc, rotation_of_quaternion
-from .texts import FUNCTIONS, ORDERS, Texts, logical
+from .texts import FUNCTIONS, NUMBER, ORDERS, Texts, logical
 
+_LIST = rf"\[\s*{NUMBER}\s*(?:,\s*{NUMBER}\s*)*\]"
+_NUMBERS = re.compile(r"\[([^\[\]]*)\]")
 _TOKEN = re.compile(
-    r"\s*(?:(?P<number>(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:E[+-]?[0-9]+)?)|(?P<text>\"[^\"]*\")"
+    rf"\s*(?:(?P<literal>{_LIST}|\[\s*{_LIST}\s*(?:,\s*{_LIST}\s*)*\])"
+    r"|(?P<number>(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:E[+-]?[0-9]+)?)|(?P<text>\"[^\"]*\")"
     r"|(?P<name>[A-Z_]\w*)|(?P<sign>:=|<>|<=|>=|[-+*/()\[\]{},.<>=\\:]))",
     re.IGNORECASE,
 )
@@ -70,7 +73,10 @@ class Records:
             message = f"a {kind.lower()} has {len(parts)} components, not {len(value)}."
             raise ExpressionError("", message)
         pairs = zip(parts.items(), value, strict=True)
-        return {name: self.of(inner, part) for (name, inner), part in pairs}
+        return {
+            name: part if type(part) is float else self.of(inner, part)
+            for (name, inner), part in pairs
+        }
 
     def array_of(self, kind: str, sizes: list[float], value: Value) -> Value:
         """Value of a variable, or of an array, of a list in brackets.
@@ -106,7 +112,11 @@ def numbers_of(value: Value) -> list[float]:
         ExpressionError: If one of them has no value.
     """
     if isinstance(value, dict):
-        return [number for part in value.values() for number in numbers_of(part)]
+        return [
+            number
+            for part in value.values()
+            for number in ([part] if type(part) is float else numbers_of(part))
+        ]
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise ExpressionError("", "a component has no value in numbers.")
     return [float(value)]
@@ -189,6 +199,12 @@ _FUNCTIONS = {
 }
 
 
+def _literal(text: str) -> Value:
+    """Array of numbers, or of such arrays."""
+    rows = [list(map(float, one.split(","))) for one in _NUMBERS.findall(text)]
+    return rows if text[1:].lstrip().startswith("[") else rows[0]
+
+
 def _operand(parser: Parser) -> Expression | None:
     """Read a list in brackets, or a function whose arguments have names."""
     parts: list[Expression] = []
@@ -263,6 +279,7 @@ def texts_of_rapid(
         },
         constants={"TRUE": True, "FALSE": False, "PI": math.pi},
         brackets=("()", "()", "{}"),
+        literal=_literal,
         operand=_operand,
         call=call,
     )

@@ -17,6 +17,8 @@ from ..expressions import (
 )
 from ..limits import LARGEST_NUMBER, MOST_VALUES
 
+# A number of a literal: no text is one in two ways, so that a long one is read once.
+NUMBER = r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:E[+-]?[0-9]+)?"
 _Binary = Callable[[Any, Any], Value]
 ORDERS: Mapping[str, _Binary] = {
     "<>": operator.ne,
@@ -63,22 +65,22 @@ class Texts:
 
     def __init__(self, variables: Variables, grammar: Grammar) -> None:
         self.variables, self._grammar = variables, grammar
-        self._parsed: dict[str, Expression] = {}
+        self._parsed: dict[str, Expression | None] = {}
 
     def expression(self, text: str) -> Expression:
         """Expression of a text; what is wrong with it is told when it is evaluated."""
+        return lambda variables: self._read(text)(variables)
 
-        def value(variables: Variables) -> Value:
-            known = self._parsed.get(text)
-            if known is None:
-                parser = Parser(text, self._grammar)
-                known = parser.expression()
-                parser.finish()
-                if len(self._parsed) < MOST_VALUES:
-                    self._parsed[text] = known
-            return known(variables)
-
-        return value
+    def _read(self, text: str) -> Expression:
+        known = self._parsed.get(text)
+        if known is None:
+            parser = Parser(text, self._grammar)
+            known = parser.expression()
+            parser.finish()
+            # Those of loops are kept as read; all would fill the memory.
+            if len(self._parsed) < MOST_VALUES:
+                self._parsed[text] = known if text in self._parsed else None
+        return known
 
     def split(self, text: str) -> tuple[str, str]:
         """Split a text into the expression at its begin and what follows.
@@ -107,7 +109,7 @@ class Texts:
         Raises:
             ExpressionError: If it has none.
         """
-        return evaluated(self.expression(text), self.variables)
+        return evaluated(self._read(text), self.variables)
 
     def number(self, text: str) -> float:
         """Value of an expression that is a number; NaN if it has none, or too large."""
