@@ -140,6 +140,26 @@ def test_a_log_has_one_line_a_stage_and_one_if_it_compiles(folder, monkeypatch, 
     assert sum("robot and cut" in text for _, text in told) == 1
 
 
+def test_a_log_gets_a_line_every_minute_of_a_long_stage(folder, monkeypatch, capsys):
+    begun, clock = time.perf_counter(), time.perf_counter
+
+    def simulate(job, *, on_progress, **options):
+        # A second is forty.
+        fast = lambda: begun + 40 * (clock() - begun)
+        monkeypatch.setattr(time, "perf_counter", fast)
+        on_progress("rigid cut", 0.0)
+        time.sleep(8)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(sim, "simulate", simulate)
+    assert main(["simulate", "job.toml"]) == 1
+    said = re.findall(
+        r"^ *([\d.]+) s    0 %  rigid cut$", capsys.readouterr().err, re.M
+    )
+    gaps = np.diff([float(seconds) for seconds in said])
+    assert len(gaps) >= 2 and gaps.min() > 60 and gaps.max() < 150
+
+
 def test_results_are_there_before_anything_is_analysed(folder, monkeypatch, capsys):
     def interrupt(*_, **__):
         assert result(folder)["force"].any()

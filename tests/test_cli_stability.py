@@ -45,9 +45,16 @@ def test_a_chattering_program_is_told(here, monkeypatch, capsys):
         own_speed=float(speed[1]),
         deepest=8e-3,
     )
-    monkeypatch.setattr(sim, "stability_lobes", lambda *_, **__: lobes)
+
+    def found(*_, on_progress, **__):
+        on_progress("depth limits", 0.0)
+        return lobes
+
+    monkeypatch.setattr(sim, "stability_lobes", found)
     assert main(["stability", "job.toml"]) == 0
-    said = capsys.readouterr().out
+    said, told = capsys.readouterr()
+    for stage in ("rigid cut: ", "the deepest places", "depth limits"):
+        assert stage in told
     for part in ("CHATTER", "51.2 Hz", "no limit found", "up to 8 mm"):
         assert part in said
 

@@ -78,7 +78,16 @@ def test_the_corrected_command_is_what_is_judged_and_returned(tmp_path):
     assert job.robot is not None
     robot = dataclasses.replace(job.robot, joint_speed=jnp.full(3, 10.0))
     job = dataclasses.replace(job, robot=robot)
-    found = fastest_feed(job, 1.0, corrects=True, lowest=0.9, highest=0.9)
+    told = []
+    found = fastest_feed(
+        job,
+        1.0,
+        corrects=True,
+        lowest=0.9,
+        highest=0.9,
+        on_progress=lambda message, share: told.append(message),
+    )
+    assert told[0] == "override 0.9" and "override 0.9: mirror" in told
     assert found.best is not None and found.path is not None
     assert found.commanded is not None
     own = dataclasses.replace(job, path=found.path)

@@ -192,7 +192,9 @@ def test_what_has_no_start_is_not_fitted_and_noted():
     job = eqx.tree_at(lambda j: j.law.K_te, small(), 0.0)
     record = small_record()
     rows = {"force": np.asarray(record.force), "deviation": record.deviation}
-    fit = fit_coupled(job, **rows, max_steps=1)
+    told = []
+    fit = fit_coupled(job, **rows, max_steps=1, on_progress=told.append)
+    assert told[0].startswith("step 1 of at most 1 explains ")
     assert set(values_of(job)) - set(fit.parameters) == {"K_te"}
     (note,) = [note for note in fit.notes if note.startswith("Not fitted")]
     assert "K_te is 0" in note

@@ -37,7 +37,11 @@ def test_trials_rank_by_what_they_leave_unknown(job):
     known = dl.MachinePosterior.of_prior(job, PRIOR)
     trials = dl.usual_trials(job, tracker=2e-6, gauge=1e-6)
     weak = {"weak": dl.TrackedRun(job, 1e-3)}
-    ranked = dl.advise(job, known, trials | weak)
+    told = []
+    ranked = dl.advise(
+        job, known, trials | weak, on_progress=lambda *said: told.append(said)
+    )
+    assert told == [(name, 0.0) for name in ("the part", *trials, "weak")]
     names = [one.name for one in ranked]
     spreads = [one.spread for one in ranked]
     assert names[-1] == "" and spreads == sorted(spreads)

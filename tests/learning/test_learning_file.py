@@ -243,7 +243,7 @@ def test_advice_is_ranked_and_kept(here, monkeypatch, capsys):
 
     def advise(job, known, trials, *, on_progress):
         asked.update(names=list(trials), known=known)
-        on_progress("the part")
+        on_progress("the part", 0.0)
         return dl.Advice("air", 3e-6), dl.Advice("", 9e-6)
 
     monkeypatch.setattr(dl, "advise", advise)

@@ -72,8 +72,24 @@ def test_learning_goes_on_from_each_of_its_checkpoints(job):
     command = job.path.positions
     parts = [dl.Part(command, tracked(dm.simulate(machine, commanded=command)))]
     kept = []
-    asked = {"prior": PRIOR, "max_steps": 2}
-    whole = dm.learn(job, parts, **asked, on_checkpoint=kept.append)
+    asked, told = {"prior": PRIOR, "max_steps": 2}, dict[str, list[float]]()
+    whole = dm.learn(
+        job,
+        parts,
+        **asked,
+        on_checkpoint=kept.append,
+        on_progress=lambda stage, share: told.setdefault(stage, []).append(share),
+    )
+    # Each stage begins at 0 and says how far it is.
+    for stage in (
+        *("the program as the model", "beyond its model, step 1", "step 3 of 3"),
+        *("as it was learnt", "next command: mirror", "Gauss-Newton step 1 done"),
+    ):
+        assert [shares[0] for name, shares in told.items() if stage in name] == [0.0]
+    for name, shares in told.items():
+        if "beyond its model" in name:
+            # The linear system, then a run for each friction and gap.
+            assert len(shares) == 7 and shares == sorted(shares) and shares[-1] < 1
     stages = [(int(a["step"]), int(a["stage"])) for a in kept]
     # Two later steps on the parameters, then by turns of mirror and Gauss-Newton.
     assert stages[:2] == [(1, 0), (2, 0)]

@@ -38,7 +38,10 @@ def lobes(process, axes, depth, speeds, **options):
     [PUBLISHED[0], *(pytest.param(*c, marks=pytest.mark.slow) for c in PUBLISHED[1:])],
 )
 def test_published_limits(rpm, axes, arc, limit):
-    found = lobes(straight_cut(rpm, arc), axes, 0.4e-3, [rpm])
+    told = []
+    tell = lambda message, share: told.append((message, share))
+    found = lobes(straight_cut(rpm, arc), axes, 0.4e-3, [rpm], on_progress=tell)
+    assert told == [("depth limits (places: 1, speeds: 1)", 0.0)]
     np.testing.assert_allclose(found.limit, limit, rtol=0.03)
     np.testing.assert_allclose(found.depth, 0.4e-3, rtol=0.03)
     assert 0.9 * 922 < found.frequency[0, 0] < 1.6 * 922

@@ -65,7 +65,7 @@ def add_analyses(folder: pathlib.Path, run: FinishedRun, progress: Progress) -> 
     Args:
         folder: The folder of the results.
         run: The run.
-        progress: Prints the results.
+        progress: Prints the results, and what takes long.
 
     Returns:
         The exit code: 0, or 1 if one of them failed, which leaves the others.
@@ -82,20 +82,23 @@ def add_analyses(folder: pathlib.Path, run: FinishedRun, progress: Progress) -> 
         reasons = {f"written_untimed_{suffix[1:]}": why for suffix, why in untimed}
         run = run._replace(dataset=dataset.assign_attrs(reasons))
         dataset = run.dataset.assign_attrs(written_not_run=1)
-        with attempts.at("written program"):
+        with progress, attempts.at("written program"):
+            progress.begin("the written program, read back and run")
             dataset = _with_written(folder, run, progress)
     try:
-        for name, step in (
-            ("resolution", _with_resolution),
-            ("contacts", _with_contacts),
-            ("stability", _with_stability),
-            ("sensitivity", _with_sensitivity),
-            ("other machines", _with_mismatch),
-            ("drawn machines", _with_true_errors),
-            ("expected error", _with_expected_error),
-        ):
-            with attempts.at(name):
-                dataset = step(run._replace(dataset=dataset), progress)
+        with progress:
+            for name, step in (
+                ("resolution", _with_resolution),
+                ("contacts", _with_contacts),
+                ("stability", _with_stability),
+                ("sensitivity", _with_sensitivity),
+                ("other machines", _with_mismatch),
+                ("drawn machines", _with_true_errors),
+                ("expected error", _with_expected_error),
+            ):
+                progress.begin(f"analysis: {name}")
+                with attempts.at(name):
+                    dataset = step(run._replace(dataset=dataset), progress)
     finally:
         # It includes chatter and scatter; after an interruption it has the others.
         with attempts.at("verdict"):
@@ -109,7 +112,9 @@ def add_analyses(folder: pathlib.Path, run: FinishedRun, progress: Progress) -> 
 
     # The search for chatter has read programs of its own.
     give_back_memory()
-    attempts.add(folder, fill)
+    with progress:
+        progress.begin("figures and report")
+        attempts.add(folder, fill)
     return attempts.conclude(folder)
 
 

@@ -136,13 +136,12 @@ def _learnt(
 
     try:
         with progress, bad_correction(measured.job.name, "to correct"):
-            progress.update("the parts as the model predicts them")
             return learn(
                 measured.job,
                 measured.parts,
                 prior=measured.prior,
                 max_steps=measured.steps,
-                on_progress=progress.update,
+                on_progress=progress.stage,
                 on_checkpoint=None if checkpoint is None else checkpoint.write,
                 resume=None if checkpoint is None else checkpoint.resumed,
             )
@@ -173,8 +172,7 @@ def _advise(
         known, lines = found.posterior, [*_lines(measured, found), ""]
     try:
         with progress:
-            progress.update("the part")
-            ranked = advise(job, known, measured.trials, on_progress=progress.update)
+            ranked = advise(job, known, measured.trials, on_progress=progress.stage)
     except SimulationFailed as failure:
         print(printable(f"error: a trial cannot be run: {failure}"), file=sys.stderr)
         return 1
@@ -311,6 +309,8 @@ def _with_figures(
             names = list(_figures(target, found))
             learnt_report(measured, found, _lines(measured, found)).write(target, names)
 
-    attempts.add(folder, draw)
+    with progress:
+        progress.begin("figures and report")
+        attempts.add(folder, draw)
     progress.write(f"results: {folder}")
     return attempts.conclude(folder)

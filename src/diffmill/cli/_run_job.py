@@ -249,11 +249,13 @@ class JobRun:
         if not is_correction:
             dataset = with_job(outcome.to_dataset(), job)
         else:
-            try:
-                surfaces = outcome.surfaces()
-            except ValueError as error:
-                # A mesh can be too large for the memory where its stock was not.
-                surfaces, left_out = {}, str(error)
+            with progress:
+                progress.begin("the machined surfaces")
+                try:
+                    surfaces = outcome.surfaces()
+                except ValueError as error:
+                    # A mesh can be too large for the memory where its stock was not.
+                    surfaces, left_out = {}, str(error)
             dataset = with_job(outcome.to_dataset(surfaces), job)
             if left_out:
                 dataset.attrs["surface_left_out"] = left_out

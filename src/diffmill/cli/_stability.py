@@ -105,7 +105,9 @@ def run_stability(
             with attempts.at("figure"):
                 save_figure(plot_lobes(dataset), target / "lobes.png")
 
-        attempts.add(folder, draw)
+        with progress:
+            progress.begin("figure")
+            attempts.add(folder, draw)
         progress.write(f"results: {folder}")
         return attempts.conclude(folder)
 
@@ -121,16 +123,15 @@ def _lobes(
     """
     from ..sim import simulate, stability_lobes
 
-    progress.update("simulating")
-    solution = simulate(job)
+    solution = simulate(job, on_progress=progress.update)
     solution.raise_unless_successful(job)
     if not np.asarray(solution.is_cutting).any():
         raise BadInput(f"{job.name}: the tool never cuts, so no depth has a limit")
-    progress.update("depths at each speed")
+    progress.update("the deepest places of the program")
     grid = None
     if speeds:
         grid = np.linspace(_RPM * speeds[0], _RPM * speeds[1], _SPEEDS)
-    return stability_lobes(job, solution, speeds=grid)
+    return stability_lobes(job, solution, speeds=grid, on_progress=progress.stage)
 
 
 def lobes_lines(lobes: "StabilityLobes") -> list[str]:

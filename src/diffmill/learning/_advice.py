@@ -118,7 +118,7 @@ def advise(
     known: MachinePosterior,
     trials: Mapping[str, AbstractTrial],
     *,
-    on_progress: Callable[[str], None] | None = None,
+    on_progress: Callable[[str, float], None] | None = None,
 ) -> tuple[Advice, ...]:
     """Trials in the order of what they leave unknown of a part, the best first.
 
@@ -129,7 +129,8 @@ def advise(
         job: The job of the part.
         known: What is known of the machine, such as `MachinePosterior.of_prior`.
         trials: Trials by name.
-        on_progress: Called with a message.
+        on_progress: Called with a message of the stage, and the share of it that is
+            done.
 
     Returns:
         What is left after each; that without any trial stands last.
@@ -140,8 +141,8 @@ def advise(
 
     Differentiability: runs on the host, not traceable.
     """
-    tell = on_progress or (lambda message: None)
-    tell("the part")
+    tell = on_progress or (lambda message, share: None)
+    tell("the part", 0.0)
     job = job.with_precision()
     seen, run = _columns(known, job)
     columns = seen.wall
@@ -158,7 +159,7 @@ def advise(
 
     found = []
     for name, trial in trials.items():
-        tell(name)
+        tell(name, 0.0)
         M = trial.slopes(known)[:, free]
         # Without an inverse of what is known: some of it may be known exactly.
         gain = np.linalg.solve(np.eye(len(own)) + own @ (M.T @ M), own)

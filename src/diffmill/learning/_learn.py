@@ -1,6 +1,7 @@
 """From measured parts to the next command."""
 
 import dataclasses
+import functools
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -47,7 +48,7 @@ _LEAST_VARIANCE = 1e-8
 _FIRST_STEPS, _LATER_STEPS = 3, 1
 # Groups of parameters that do not change what drives and forces do.
 _BESIDES_MACHINE = ("radius", "field")
-OnProgress = Callable[[str], None]
+OnProgress = Callable[[str, float], None]
 
 
 class ExplainedError(NamedTuple):
@@ -222,7 +223,8 @@ def learn(
         max_steps: Steps of Gauss-Newton at most, between turns of the mirror; 0 for no
             next command.
         known: What was learnt from the parts before, to begin there.
-        on_progress: Called with a message.
+        on_progress: Called with a message of the stage, and the share of it that is
+            done.
         on_checkpoint: Called with all that is needed to go on, plain arrays by name,
             after every step.
         resume: What it was called with for the same job and parts, to go on from there
@@ -237,35 +239,39 @@ def learn(
 
     Differentiability: runs on the host, not traceable.
     """
-    tell = on_progress or (lambda message: None)
+    tell = on_progress or (lambda message, share: None)
     job = job.with_precision()
     if job.robot is None:
         raise ValueError("Argument `job` must have a robot, but has none.")
     if not parts:
         raise ValueError("Argument `parts` must have a part, but is empty.")
+    tell("the program as the model predicts it", 0.0)
     search = _Search(job, prior or MachinePrior(), tuple(parts))
     x = search.start if known is None else known.posterior.mean
     state = LearningState(0, x, search.set_up)
     if resume is not None:
         state = LearningState.of_arrays(resume)
     keep = on_checkpoint or (lambda arrays: None)
-    tell("what the machine does beyond its model")
     last = _FIRST_STEPS if known is None else _LATER_STEPS
     x, search.set_up, system = state.parameters, state.set_up, None
     for step in range(state.step, last):
         if step > state.step:
             state = LearningState(step, x, search.set_up)
             keep(state.arrays())
-        system = search.linearised(x)
+        stage = f"what the machine does beyond its model, step {step + 1} of {last}"
+        tell(stage, 0.0)
+        system = search.linearised(x, on_share=functools.partial(tell, stage))
         if system.gain < LEAST_GAIN:
             # Drives and forces stay as modelled: all else may still be off.
+            tell("what is off besides drives and forces", 0.0)
             x, system = search.besides_machine()
             break
         x = search.step(x, system)
     if system is None:
         raise ValueError("Argument `resume` must be of the same parts, but is not.")
     if system.gain < LEAST_GAIN:
-        tell("the parts show nothing that the model does not know")
+        tell("the parts show nothing that the model does not know", 0.0)
+    tell("the parts on the machine as it was learnt", 0.0)
     found = search.outcome(x, system)
     if max_steps < 1:
         return found
@@ -386,13 +392,6 @@ class _Search:
                 self.weights[k] = noise / (noise + max(0.0, drift))
         return Stacked.of(self.seen, self.weights)
 
-    def columns(self, x: np.ndarray) -> Observables:
-        """Slopes of what is seen of the last command, in the parameters."""
-        self._columns = self.machine.columns(
-            x, self.rigid, self.commands[-1], self.force_slopes
-        )
-        return self._columns
-
     def nuisance(self) -> np.ndarray:
         """Columns of what the set-ups leave open, of one after the other."""
         from scipy.linalg import block_diag
@@ -417,18 +416,25 @@ class _Search:
         return self.center, system
 
     def linearised(
-        self, x: np.ndarray, columns: Observables | None = None
+        self,
+        x: np.ndarray,
+        columns: Observables | None = None,
+        on_share: Callable[[float], None] | None = None,
     ) -> Linearised:
         """Whitened columns and residuals about some parameters, and their prior.
 
         Args:
             x: The parameters.
             columns: Slopes, where they are known.
+            on_share: Called with the share of the slopes that are known.
         """
         residuals = self.residuals(x)
         stacked = self.weigh(residuals)
         residual = np.concatenate(residuals)
-        columns = self.columns(x) if columns is None else columns
+        if columns is None:
+            columns = self._columns = self.machine.columns(
+                x, self.rigid, self.commands[-1], self.force_slopes, on_share=on_share
+            )
         slopes = np.concatenate([seen.of(columns) for seen in self.seen])
         no_bound = np.full(len(self.set_up), -np.inf)
         unknowns = Unknowns(

@@ -61,7 +61,7 @@ class CommandSearch(eqx.Module):
         max_steps: int,
         state: LearningState,
         on_state: Callable[[LearningState], None],
-        on_progress: Callable[[str], None],
+        on_progress: Callable[[str, float], None],
     ) -> Correction:
         """The next command, by turns of a mirror and of Gauss-Newton.
 
@@ -72,7 +72,8 @@ class CommandSearch(eqx.Module):
             max_steps: Steps of Gauss-Newton at most.
             state: From which the search goes on.
             on_state: Called with the state before each step.
-            on_progress: Called with a message.
+            on_progress: Called with a message of the stage, and the share of it that
+                is done.
         """
         first = (max_steps + 1) // 2
         # Steps of Gauss-Newton in each stage; None for the mirror.
@@ -89,22 +90,22 @@ class CommandSearch(eqx.Module):
                 on_state(at)
             steps = stages[number]
             if steps is None:
-                on_progress("next command: mirror")
-                command = self._mirrored(command)
+                command = self._mirrored(command, on_progress)
             else:
-                on_progress("next command: Gauss-Newton")
-                correction = self._corrected(command, steps, at, on_state, resumed)
+                correction = self._corrected(
+                    command, steps, at, on_state, on_progress, resumed
+                )
                 command, resumed = np.asarray(correction.commanded), {}
         assert correction is not None
         far = _distance(command, self.best)
         if far <= self.radius:
             return correction
         on_progress(
-            "next command: shorter, since the last one was worse than one before"
+            "next command: shorter, since the last one was worse than one before", 0.0
         )
         share = self.radius / far
         shorter = (1 - share) * self.best + share * np.asarray(command)
-        return self._corrected(shorter, 0, state, lambda state: None, {})
+        return self._corrected(shorter, 0, state, lambda state: None, on_progress, {})
 
     def _corrected(
         self,
@@ -112,29 +113,42 @@ class CommandSearch(eqx.Module):
         steps: int,
         state: LearningState,
         on_state: Callable[[LearningState], None],
+        on_progress: Callable[[str, float], None],
         resumed: Arrays,
     ) -> Correction:
         """Correction from a command, by some steps of Gauss-Newton."""
+        tell = lambda message, share: on_progress(f"next command: {message}", share)
+
+        def tell_error(message: str, rms: float) -> None:
+            tell(f"{message} done, weighted error {1e6 * rms:.2f} um rms", 0.0)
+
         # The corrected command holds for the machine as it is known now.
         settings = dataclasses.replace(self.job.correction, max_steps=steps)
         return correct(
             dataclasses.replace(self.job, correction=settings),
             start=start,
             throw=False,
+            on_progress=tell_error,
+            on_run_progress=tell,
+            on_step_progress=tell,
             on_checkpoint=lambda arrays: on_state(
                 dataclasses.replace(state, correction=arrays)
             ),
             resume=resumed or None,
         )
 
-    def _mirrored(self, command: FloatRows3) -> Rows3:
+    def _mirrored(
+        self, command: FloatRows3, on_progress: Callable[[str, float], None]
+    ) -> Rows3:
         """Command of the least error that a filtered mirror finds, itself included."""
         job, program = self.job, np.asarray(self.job.path.positions)
         reach, rate = float(job.correction.max_offset), 1 / float(job.tooth_period)
         best, least = np.asarray(command), np.inf
-        for cutoff in _CUTOFFS:
+        for number, cutoff in enumerate(_CUTOFFS):
             command, worse = best, 0
-            for _ in range(_MIRRORS):
+            for turn in range(_MIRRORS):
+                done = number * _MIRRORS + turn
+                on_progress("next command: mirror", done / (len(_CUTOFFS) * _MIRRORS))
                 run = Solution.of_command(
                     job, self.rigid, jnp.asarray(command), FrozenStock()
                 )

@@ -291,6 +291,8 @@ class AdaptableMachine(eqx.Module):
         rigid: Run,
         commanded: FloatRows,
         force_slopes: Float[Array, "step 3 coefficient"],
+        *,
+        on_share: Callable[[float], None] | None = None,
     ) -> Observables:
         """Slopes of what is seen of a run in the parameters, (step, 3, parameter).
 
@@ -305,7 +307,9 @@ class AdaptableMachine(eqx.Module):
             rigid: Rigid cut of the base.
             commanded: Commanded tips [m], shape (step, 3).
             force_slopes: `rigid_force_slopes()`.
+            on_share: Called with the share of the runs that are done.
         """
+        tell, corners = on_share or (lambda share: None), self._with_corners()
         at = x.copy()
         gaps = self.group("backlash").index
         at[gaps] = np.maximum(at[gaps], _LEAST_SLOPE)
@@ -317,7 +321,9 @@ class AdaptableMachine(eqx.Module):
         tip, arm = _columns(self, job, jnp.asarray(at), around, force)
         tip, arm = np.array(tip), np.array(arm)
         here = self._deviations(x, rigid, command)
-        for k in self._with_corners():
+        # The linear system costs about as much as three runs.
+        for done, k in enumerate(corners, start=4):
+            tell(done / (4 + len(corners)))
             way = _SECANT * np.eye(self.count)[k]
             there = self._deviations(x + way, rigid, command)
             tip[:, :, k], arm[:, :, k] = (there - here) / _SECANT

@@ -14,6 +14,8 @@ from .._expected import spelled
 _LEAST_COMPILATION = 0.2
 # In a log a stage that has no line yet, or compiles, gets one after this time [s].
 _LONGEST_SILENCE = 8.0
+# In a log a stage that goes on says so again after this time [s].
+_SIGN_OF_LIFE = 60.0
 # Steps of a run, by the latest of which the time left is told; the first one compiles.
 _LATEST, _LEAST_STEPS = 5, 2
 _COMPILE_EVENT = "/backend_compile_duration"
@@ -54,8 +56,10 @@ class Progress:
         """Show the status line."""
         import jax
 
-        self._start = self._said = time.perf_counter()
-        self._done, self._paces = (0.0, self._start), []
+        self._said = time.perf_counter()
+        if not self._has_begun:
+            self._start = self._said
+        self._done, self._paces = (0.0, self._said), []
         if self.is_verbose and not self._has_begun:
             self.write(_versions())
         jax.monitoring.register_scalar_listener(self._compiles)
@@ -134,6 +138,18 @@ class Progress:
         if self._console.is_terminal or is_due:
             self._show(self._message, stays=self.is_verbose)
 
+    def stage(self, message: str, share: float) -> None:
+        """Show how far a stage is: a line as it begins, and then as `within`.
+
+        Args:
+            message: The stage.
+            share: Share of it that is done, 0 to 1.
+        """
+        if share == 0:
+            self.update(message)
+        else:
+            self.within(message, share)
+
     def begin(self, message: str) -> None:
         """Set the present step, which is shown if it takes long."""
         self._message = message
@@ -161,14 +177,15 @@ class Progress:
             self._console.print(text, markup=False)
 
     def _refresh(self) -> None:
-        """Show the present step: every second on a terminal, once in a log."""
+        """Show the present step: every second on a terminal, seldom in a log."""
         is_terminal = self._console.is_terminal
         every = 1.0 if is_terminal else _LONGEST_SILENCE
         while not self._is_over.wait(0.2 * every):
             what = ": compiling, once for jobs of this kind" if self._compiling else ""
             text = self._message + what
-            is_due = time.perf_counter() - self._said > every
-            if is_due and (is_terminal or text not in self._named):
+            silence = time.perf_counter() - self._said
+            is_new = is_terminal or text not in self._named
+            if silence > (every if is_new else _SIGN_OF_LIFE):
                 self._named.add(text)
                 self._show(text, stays=False)
 

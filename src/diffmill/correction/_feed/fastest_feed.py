@@ -1,5 +1,6 @@
 """The largest feed of a whole program within a tolerance and limits of the drives."""
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple
 
 import equinox as eqx
@@ -160,9 +161,16 @@ def fastest_feed(
     search = _Search(job, tolerance, max_force, max_power, corrects)
     good, bad, override = 0.0, np.inf, min(max(1.0, lowest), highest)
     trials: list[_Trial] = []
+
+    def attempt(
+        name: str, share: float, override: "float | Float[np.ndarray, ' knot']"
+    ) -> None:
+        report(name, share)
+        tell = lambda message, rms: report(f"{name}: {message}", share)
+        trials.append(search.trial(override, tell))
+
     while True:
-        report(f"override {override:.3g}", min(len(trials) / 12, 1.0))
-        trials.append(search.trial(override))
+        attempt(f"override {override:.3g}", min(len(trials) / 12, 1.0), override)
         if trials[-1].feed.broken:
             bad = override
         else:
@@ -186,9 +194,9 @@ def fastest_feed(
         even = best.feed.override
         room = search.room(even, knots, highest)
         for number, share in enumerate((1.0, 0.7, 0.4, 0.2)):
-            report(f"override along the path, share {share:g}", 0.8 + 0.05 * number)
             override = even * (1 + share * (room - 1))
-            trials.append(search.trial(override))
+            name = f"override along the path, share {share:g}"
+            attempt(name, 0.8 + 0.05 * number, override)
             if not trials[-1].feed.broken:
                 best, along = trials[-1], override
                 break
@@ -235,7 +243,7 @@ class _Search(NamedTuple):
             highest: Largest override.
         """
         job = self._with(override)
-        run = self._run(job)
+        run = self._run(job, lambda message, rms: None)
         steps = np.linalg.norm(np.diff(job.path.positions, axis=0), axis=1)
         place = np.concatenate([[0.0], np.cumsum(steps)])
         place *= (knots - 1) / max(float(place[-1]), 1e-12)
@@ -247,12 +255,21 @@ class _Search(NamedTuple):
         most = highest / override
         return np.clip(self.tolerance / np.maximum(largest, 1e-12), 1.0, most)
 
-    def trial(self, override: "float | Float[np.ndarray, ' knot']") -> _Trial:
-        """Trial of an override, of the whole program or at knots along the path."""
+    def trial(
+        self,
+        override: "float | Float[np.ndarray, ' knot']",
+        on_progress: Callable[[str, float], None],
+    ) -> _Trial:
+        """Trial of an override, of the whole program or at knots along the path.
+
+        Args:
+            override: The override.
+            on_progress: Called as by `correct`, if the program is corrected.
+        """
         time = PathFeed.of_path(self.job.path).cycle_time(override)
         job, mean = self._with(override), float(np.mean(override))
         try:
-            run = self._run(job)
+            run = self._run(job, on_progress)
         except SimulationFailed:
             none = np.nan
             return _Trial(TriedFeed(mean, time, none, none, none, none, "run"))
@@ -279,13 +296,16 @@ class _Search(NamedTuple):
         path = retime(self.job.path, override)
         return eqx.tree_at(lambda j: j.path, self.job, path)
 
-    def _run(self, job: Job) -> Solution:
+    def _run(self, job: Job, on_progress: Callable[[str, float], None]) -> Solution:
         """Run of a job, corrected if that was asked for.
 
         Raises:
             SimulationFailed: It fails.
         """
-        run = correct(job).after if self.corrects else simulate(job)
+        if self.corrects:
+            run = correct(job, on_progress=on_progress).after
+        else:
+            run = simulate(job)
         run.raise_unless_successful(job)
         return run
 

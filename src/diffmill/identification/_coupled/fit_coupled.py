@@ -7,7 +7,7 @@ must be known: a soft arm and a large force look alike.
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import equinox as eqx
 import numpy as np
@@ -116,6 +116,7 @@ def fit_coupled(
     loss: Loss = "huber",
     max_relative_error: float = _RELATIVE_ERROR,
     max_steps: int = _STEPS,
+    on_progress: Callable[[str], None] | None = None,
 ) -> CoupledFit:
     """Fit stiffness, damping and force coefficients to a record of a robot's cut.
 
@@ -147,6 +148,7 @@ def fit_coupled(
         max_relative_error: A parameter is a number if its relative standard error is
             at most this.
         max_steps: Steps at most.
+        on_progress: Called with a message after each step.
 
     Returns:
         The fit; read `.notes`.
@@ -176,11 +178,21 @@ def fit_coupled(
             f"{float(job.path.time[-1]):g} s, with something measured, but does not."
         )
     solver = record_solver(problem.is_log, max_steps)
+    tell = on_progress or (lambda message: None)
+
+    def after(step: LeastSquaresState) -> None:
+        share = 100 * problem.share(step.value, step.x)
+        tell(
+            f"step {len(step.history)} of at most {max_steps} explains {share:.1f} % "
+            "of the record"
+        )
+
     state = LeastSquaresState(start, begun, solver.damping)
-    solution = least_squares(problem, start, solver, state=state)
+    solution = least_squares(problem, start, solver, state=state, callback=after)
     if problem.share(solution.value, solution.x) < EXPLAINED:
         # Far from the truth all slopes are small, and ringing has minima of its own.
-        solution = _other_start(problem, solver, state, solution)
+        tell("an arm that is softer or stiffer as a whole")
+        solution = _other_start(problem, solver, state, solution, after)
     unfitted = () if fit is not None else fixed_parameter_note(job, force is not None)
     return _report(problem, solution, max_relative_error, unfitted)
 
@@ -252,6 +264,7 @@ def _other_start(
     solver: LevenbergMarquardt,
     first: LeastSquaresState,
     solution: LeastSquaresState,
+    callback: Callable[[LeastSquaresState], None],
 ) -> LeastSquaresState:
     """Fit from an arm that is softer or stiffer as a whole, if it is better.
 
@@ -271,7 +284,7 @@ def _other_start(
             best.value, best.x
         ):
             best = LeastSquaresState(x, rows, solver.damping)
-    other = least_squares(problem, best.x, solver, state=best)
+    other = least_squares(problem, best.x, solver, state=best, callback=callback)
     spent = solution.evaluations + len(_SCALES) + other.evaluations
     better = max(solution, other, key=lambda one: problem.share(one.value, one.x))
     return dataclasses.replace(better, evaluations=spent)

@@ -80,6 +80,7 @@ class CoupledStudy:
                 has_offset=self.has_offset,
                 has_time_shift=self.has_time_shift,
                 loss=self.loss,  # pyright: ignore[reportArgumentType]
+                on_progress=on_progress,
             )
         except ValueError as error:
             raise StudyError(f"{self.name}: {error}") from error

@@ -17,7 +17,7 @@ from ..._job import Job
 from ...cutter import AbstractCutter
 from ...process import Process
 from ...workpiece import Pose
-from .._job.simulate import Solution, simulate
+from .._job.simulate import OnProgress, Solution, simulate
 from .._machine.elastic import ElasticArm
 from .._machine.modal import ModalMachine
 from .monodromy import Regeneration, Step, Vibration, monodromy, strongest
@@ -142,6 +142,7 @@ class StabilityLobes(eqx.Module):
         speeds: Float[np.ndarray, " speed"],
         *,
         deepest: float | None = None,
+        on_progress: OnProgress | None = None,
     ) -> "StabilityLobes":
         """Lobes at some rows of a motion; see `stability_lobes`.
 
@@ -153,6 +154,7 @@ class StabilityLobes(eqx.Module):
             rows: The rows, from 1.
             speeds: Speeds of the spindle [rad/s], ascending.
             deepest: Largest depth [m]; if not given four times the depth at the rows.
+            on_progress: As of `stability_lobes`.
 
         Returns:
             The lobes, on the host.
@@ -177,12 +179,17 @@ class StabilityLobes(eqx.Module):
         most = _DEEPEST * float(depth.max()) if deepest is None else deepest
         arms = linear_machine(arm, motion, chosen, float(process.tooth_period))
         A, G, C = (np.asarray(x, np.float64) for x in (arms.A, arms.G, arms.C))
+        tell = on_progress or (lambda message, share: None)
+        message = f"depth limits (places: {len(layers)}, speeds: {len(speeds)})"
         found = []
         for k, one in enumerate(layers):
             cut = _Cut.of(process.cutter, one, most)
             place = _Place(process.cutter, A[k], G[k], C[k], cut)
-            found.append([place.limit(float(speed)) for speed in speeds])
-        limit, frequency = np.moveaxis(np.array(found), -1, 0)
+            for speed in speeds:
+                tell(message, len(found) / (len(layers) * len(speeds)))
+                found.append(place.limit(float(speed)))
+        each = np.array(found).reshape(len(layers), len(speeds), 2)
+        limit, frequency = np.moveaxis(each, -1, 0)
         return StabilityLobes(
             row=chosen,
             position=np.asarray(path.tip)[chosen],
@@ -202,6 +209,7 @@ def stability_lobes(
     rows: Sequence[int] | Int[np.ndarray, " row"] | None = None,
     speeds: Float[np.ndarray, " speed"] | None = None,
     deepest: float | None = None,
+    on_progress: OnProgress | None = None,
 ) -> StabilityLobes:
     """Depths at which vibrations begin to grow, at the deepest places of a program.
 
@@ -216,6 +224,7 @@ def stability_lobes(
         speeds: Speeds of the spindle [rad/s], ascending; if not given 61 from 0.6 to
             1.5 times the program's.
         deepest: Largest depth [m]; if not given four times that of the program there.
+        on_progress: Called with a message and the share of the limits that are found.
 
     Returns:
         The lobes, on the host.
@@ -246,6 +255,7 @@ def stability_lobes(
         rows,
         np.asarray(speeds, np.float64),
         deepest=deepest,
+        on_progress=on_progress,
     )
 
 
