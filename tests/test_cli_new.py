@@ -89,6 +89,40 @@ def test_a_diameter_of_a_program_in_inches(program):
     assert 'diameter = "0.25 in"' in program.with_suffix(".toml").read_text()
 
 
+TOOLS = """(T1 D=16. - face mill)
+(T2 D=6.8 - drill)
+G21 G17 G90 G94
+T1 M6
+S6000 M3
+G0 X-10 Y6 Z1
+G1 Z-0.5 F400
+G1 X30 F1200
+G0 Z20
+T2 M6
+S3000 M3
+G0 X6 Y6 Z20
+G81 X6 Y6 Z-8 R2 F240
+X34
+G80
+M2
+"""
+
+
+def test_a_job_names_the_tool_of_several_and_takes_its_diameter(here, capsys):
+    (here / "plate.ngc").write_text(TOOLS)
+    assert main(["new", "plate.ngc"]) == 0
+    note = "has the tools T1, T2; the job is of T1, --tool chooses another"
+    assert note in capsys.readouterr().err
+    text = (here / "plate.toml").read_text()
+    assert "\ntool = 1\n" in text and "comments of the program name 16 mm\n" in text
+    assert main(["new", "plate.ngc", "--tool", "2", "--out", "holes.toml"]) == 0
+    text = (here / "holes.toml").read_text()
+    assert "\ntool = 2\n" in text and "comments of the program name 6.8 mm\n" in text
+    # Holes lie within the block, which is as wide as the drill about them.
+    assert 'lower = ["2.6 mm", "2.6 mm", "-9 mm"]' in text
+    assert 'upper = ["37.4 mm", "9.4 mm", "0 mm"]' in text
+
+
 def test_a_file_that_is_there_is_kept(program, capsys):
     job = program.with_suffix(".toml")
     job.write_text("precious")

@@ -51,6 +51,8 @@ class _Facts(NamedTuple):
         feeds: Feeds [m/s].
         diameters: Diameters that comments name, with the program's unit.
         tools: Numbers of its tools.
+        tool: That of the moves; None without a number.
+        goes_sideways: True if the tip moves sideways at a feed.
         has_base: True if it states the place of the work in the robot's base.
         needs_acceleration: False for a path with times of its own.
     """
@@ -62,6 +64,8 @@ class _Facts(NamedTuple):
     feeds: tuple[float, ...]
     diameters: tuple[str, ...]
     tools: tuple[int | None, ...]
+    tool: int | None
+    goes_sideways: bool
     has_base: bool
     needs_acceleration: bool
 
@@ -99,7 +103,10 @@ def run_new(
         facts = _facts(file, options)
     if len(facts.tools) > 1 and options.tool is None:
         numbers = ", ".join(f"T{number}" for number in facts.tools)
-        progress.write(f"note: the program has the tools {numbers}; --tool chooses one")
+        progress.write(
+            f"note: the program has the tools {numbers}; the job is of T{facts.tool}, "
+            "--tool chooses another"
+        )
     if ask is not None:
         options = _asked(options, facts, ask, list(materials()), built_in_models())
     lines = _job_lines(file, job, options, facts)
@@ -155,6 +162,8 @@ def _path_facts(path: "Path") -> _Facts:
         feeds=(),
         diameters=(),
         tools=(),
+        tool=None,
+        goes_sideways=True,
         has_base=False,
         needs_acceleration=False,
     )
@@ -175,8 +184,10 @@ def _program_facts(program: "Program", tool: int | None) -> _Facts:
         top=_top(at_feed),
         speeds=own.spindle_speeds,
         feeds=tuple(sorted({move.feed for move in at_feed if move.feed})),
-        diameters=_diameters(program.source),
+        diameters=_diameters(program.source, own.tools[0]),
         tools=program.tools,
+        tool=own.tools[0],
+        goes_sideways=any(move.start[:2] != move.end[:2] for move in at_feed),
         has_base=program.work_position is not None,
         needs_acceleration=True,
     )
@@ -195,11 +206,17 @@ def _top(at_feed: "list[Move]") -> float:
     return max(heights, default=min(move.end[2] for move in at_feed))
 
 
-def _diameters(source: str) -> tuple[str, ...]:
-    """Diameters of cutters that comments of a program name, with its unit."""
+def _diameters(source: str, tool: int | None) -> tuple[str, ...]:
+    """Diameters of cutters that comments of a program name, with its unit.
+
+    Only those of a tool, if comments name it with one.
+    """
     comments = [" ".join(filter(None, found)) for found in _COMMENT.findall(source)]
-    of_tools = filter(_TOOL.search, comments)
-    found = [float(x) for text in of_tools for x in _DIAMETER.findall(text)]
+    of_tools = [text for text in comments if _TOOL.search(text)]
+    own = re.compile(rf"\bT0*{tool}\b")
+    of_tool = [text for text in of_tools if own.search(text) and _DIAMETER.search(text)]
+    chosen = of_tool or of_tools
+    found = [float(x) for text in chosen for x in _DIAMETER.findall(text)]
     unit = "in" if _INCHES.search(_COMMENT.sub("", source)) else "mm"
     return tuple(dict.fromkeys(f"{x:g} {unit}" for x in found if x > 0))
 
@@ -319,7 +336,9 @@ def _stock_lines(options: JobOptions, facts: _Facts) -> list[str]:
     upper = [*facts.upper[:2], max(highest, facts.top)]
     diameter = _length(_diameter(options, facts))
     spacing = json.dumps(f"{_number(1e3 * _SPACING * diameter)} mm")
-    is_long = [upper[a] - lower[a] > _LONG * diameter for a in range(2)]
+    is_long = [
+        facts.goes_sideways and upper[a] - lower[a] > _LONG * diameter for a in range(2)
+    ]
     for a in range(2):
         # A slot begins and ends beside the block and lies in it across; what is long
         # both ways is the outline of the block.
@@ -341,8 +360,8 @@ def _program_lines(
     file: pathlib.Path, job: pathlib.Path, options: JobOptions, facts: _Facts
 ) -> list[str]:
     lines = ["[program]", f"file = {json.dumps(_relative(file, job))}"]
-    if options.tool is not None:
-        lines.append(f"tool = {options.tool}")
+    if len(facts.tools) > 1 and facts.tool is not None:
+        lines.append(f"tool = {facts.tool}")
     lines.extend(options.program_lines)
     if not facts.needs_acceleration:
         return lines
