@@ -114,6 +114,7 @@ FAULTS = [
         {"material": "aluminium_3.1325", "law": "linear_edge"},
         ("[force] material", "together with law"),
     ),
+    ({}, ("[force]: found nothing", 'material = "NAME"', "K_tc = ")),
     ({"material": "cheese"}, ("[force] material", "'cheese'", *cutting.materials())),
     ({"material": 3}, ("[force] material", "3", "text")),
     (

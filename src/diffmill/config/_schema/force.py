@@ -185,6 +185,12 @@ def _read_one(
 ) -> _ForceTable | None:
     """Checked table of a material, or of the law that it names."""
     found = raw if isinstance(raw, dict) else {}
+    if raw == {}:
+        problems.append(
+            f'{place}: found nothing, but material = "NAME" (a wrong name lists all) '
+            'or coefficients are required, such as K_tc = "989.8 N/mm^2", K_rc and K_ac'
+        )
+        return None
     if "material" in found:
         others = ", ".join(key for key in found if key != "material")
         if others:
