@@ -30,6 +30,9 @@ from .settings.truth import TruthSettings
 from .toolpath import Path, ProgramTiming
 from .workpiece import Stock
 
+# Share of a tooth period by which rows may be off: times of float32 are rounded.
+_PERIOD_SHARE = 0.01
+
 
 def _register(kind: type[Settings]) -> None:
     """Make a class of settings a node of JAX's trees, static but for its leaves."""
@@ -340,3 +343,33 @@ def parameter_uncertainty(
     kinds = {"K ": stiffness, "D ": damping, "m_": 0.0}
     sizes = [0.0 if name == "speed" else kinds.get(name[:2], force) for name in names]
     return np.array(sizes, np.float64)
+
+
+def check_job(job: object) -> None:
+    """Raise if an argument from outside is no job, or has other rows than teeth.
+
+    What is traced has no times to look at.
+
+    Args:
+        job: The argument.
+
+    Raises:
+        TypeError: It is no job.
+        ValueError: The rows of its path are not a tooth period apart.
+    """
+    if not isinstance(job, Job):
+        raise TypeError(
+            "Argument `job` must be a Job, as `load_job` returns it, but is "
+            f"{job!r:.80}."
+        )
+    if is_traced(job) or not has_values(job.path.time, job.tooth_period):
+        return
+    time, period = np.asarray(job.path.time, np.float64), float(job.tooth_period)
+    steps = np.diff(time)
+    row = int(np.argmax(np.abs(steps - period)))
+    if not abs(steps[row] - period) <= _PERIOD_SHARE * period:
+        raise ValueError(
+            "Argument `job` must have a path with a row per tooth period, "
+            f"{1e3 * period:.6g} ms at this speed and number of teeth, but its rows "
+            f"{row} and {row + 1} are {1e3 * steps[row]:.6g} ms apart."
+        )

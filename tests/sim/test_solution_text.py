@@ -1,6 +1,8 @@
 """Jobs and solutions as text and as tables: what a notebook shows of them."""
 
 import inspect
+import subprocess
+import sys
 
 import equinox as eqx
 import jax
@@ -54,6 +56,24 @@ def test_a_job_is_replaced_by_attributes_that_it_has(job):
         ValueError, match=r"attributes of a job \(name, .*but found nam"
     ):
         job.replace(nam="x")
+
+
+@pytest.mark.parametrize("run", [dm.simulate, dm.correct])
+def test_a_path_without_a_row_per_tooth_is_refused(job, run):
+    words = r"per tooth period, 3.75 ms .* rows .* are 7.5 ms apart"
+    path = job.path
+    twice = eqx.tree_at(lambda path: path.time, path, 2 * np.asarray(path.time))
+    with pytest.raises(ValueError, match=words):
+        run(job.replace(path=twice))
+
+
+@pytest.mark.parametrize("name", ["simulate", "correct"])
+def test_what_is_no_job_is_refused(name):
+    """In a process of its own: here types are checked before."""
+    code = f"import diffmill as dm; dm.{name}('job.toml')"
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    words = "TypeError: Argument `job` must be a Job, as `load_job` returns it, but is"
+    assert ended.stderr.endswith(f"{words} 'job.toml'.\n")
 
 
 def with_speed(job, speed):

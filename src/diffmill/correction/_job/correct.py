@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..._job import Job
+from ..._job import Job, check_job
 from ..._types import FloatRows, FloatRows3, readable_signature
 from ...optimise import LeastSquaresStep
 from ...process import ThroughPoses
@@ -199,12 +199,14 @@ def correct(
             that is asked for; a `ValueError`.
         UnsuitableSettings: Knots, horizon or overlap do not suit the path, or no
             surface is left to correct; a `ValueError`.
-        ValueError: The job has no robot or a command of its own, the objective is
-            none, machines are given to a method that takes one only, or JAX is not set
-            up for its precision.
+        TypeError: Argument `job` is none.
+        ValueError: The job has no robot, a command of its own, or a path whose rows
+            are not a tooth period apart, the objective is none, machines are given to a
+            method that takes one only, or JAX is not set up for its precision.
 
     Differentiability: runs on the host, not traceable.
     """
+    check_job(job)
     job = checked_job(_disturbed(job, disturbance))
     if start is not None:
         start = _checked_start(job, start)

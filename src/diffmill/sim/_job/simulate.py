@@ -19,7 +19,7 @@ from ..._arrays import (
     is_traced,
     on_device,
 )
-from ..._job import Job
+from ..._job import Job, check_job
 from ..._messages import html_rows
 from ..._padding import LONGEST, pad_rows
 from ..._result import RESULTS, SimulationFailed
@@ -333,12 +333,14 @@ def simulate(
     Raises:
         SimulationFailed: The outcome is not successful; the message names the time
             and place, and the exception carries the solution.
-        ValueError: The precision asked for is not enabled in JAX, `commanded` or
-            `motors` has another shape, a rigid machine is given motors, or `resume` is
-            of other segments.
+        TypeError: Argument `job` is none.
+        ValueError: The precision asked for is not enabled in JAX, the rows of the path
+            are not a tooth period apart, `commanded` or `motors` has another shape, a
+            rigid machine is given motors, or `resume` is of other segments.
 
     Differentiability: in all leaves of the job, as `simulate_process`.
     """
+    check_job(job)
     job = job.with_precision()
     adjoint = ThroughRays() if adjoint is None else adjoint
     tell = on_progress or (lambda message, share: None)
