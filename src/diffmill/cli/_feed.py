@@ -67,7 +67,9 @@ def run_feed(
 
     with bad_input():
         configure_jax(job_precision(file))
-        job = load_job(file, allow_outside=allow_outside)
+        with progress:
+            progress.begin("reading the job")
+            job = load_job(file, allow_outside=allow_outside)
         _check(job, file, request)
     with locked_folder(folder) as unlocked:
         for note in (*job.notes, *filter(None, [unlocked])):

@@ -67,7 +67,9 @@ def run_stability(
 
     with bad_input():
         configure_jax(job_precision(file))
-        job = load_job(file, allow_outside=allow_outside)
+        with progress:
+            progress.begin("reading the job")
+            job = load_job(file, allow_outside=allow_outside)
         if job.is_rigid or not job.simulation.mode.vibrates:
             found = "[robot] rigid" if job.is_rigid else "[simulation] mode"
             raise JobError(

@@ -75,7 +75,8 @@ def run_identify(
     from ...config import load_identification
 
     start = time.perf_counter()
-    with bad_input():
+    with bad_input(), progress:
+        progress.begin("reading the measurements")
         study = load_identification(file, forces, allow_outside=allow_outside)
     with locked_folder(folder) as unlocked:
         if unlocked:

@@ -132,7 +132,7 @@ def verdict(dataset: "xarray.Dataset", *, is_complete: bool = True) -> Verdict:
     model = model or (
         " All of it is predicted for a machine that is exactly as modelled"
         f"{_mismatch_text(dataset)}; [simulation] scatter or [correction.uncertainty] "
-        "tell of one that is not."
+        "give the error of one that is not."
     )
     model += _truth_text(dataset)
     deepest, deepest_place = 0.0, ""
@@ -246,7 +246,7 @@ def _learnt_text(dataset: "xarray.Dataset") -> str:
         return ""
     return (
         " It is predicted for the machine as measured parts show it; with what they do "
-        f"not tell of it {length_text(float(expected))} rms are expected."
+        f"not show of it, {length_text(float(expected))} rms is expected."
     )
 
 
