@@ -293,7 +293,7 @@ def test_a_machine_that_was_learnt_is_not_said_to_be_as_modelled(correction):
     told = dict(learnt_expected_rms=4.6e-6, tolerance_band=1e-3)
     learnt = correction.assign_attrs(told)
     text = summary(learnt, "verdict")
-    assert "exactly as modelled" not in text and "4.6 um rms are expected" in text
+    assert "exactly as modelled" not in text and "4.6 um rms is expected" in text
 
 
 def test_a_robust_command_is_judged_over_its_draws(correction):

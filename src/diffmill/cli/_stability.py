@@ -26,8 +26,9 @@ if TYPE_CHECKING:
 
 _RPM, _SPEEDS = math.pi / 30, 61
 _ASSUMED = (
-    "held: the feed of a tooth, the arc of the cut and the pose of the machine; not "
-    "modelled: process damping, so limits at low speeds are low"
+    "at every speed the feed of a tooth, the arc of the cut and the pose of the "
+    "machine stay those of the program; process damping is not modelled, so limits at "
+    "low speeds are low"
 )
 
 
