@@ -11,6 +11,7 @@ import tomllib
 from collections.abc import Iterator
 from typing import NamedTuple
 
+import numpy as np
 import pytest
 from slides_job import PROGRAM, write_slides_job
 
@@ -259,6 +260,12 @@ def test_every_block_is_in_a_language_that_is_executed():
 @pytest.mark.parametrize("block", every_block("toml"))
 def test_toml_is_accepted(block, tmp_path):
     tables = tomllib.loads(block.text)
+    axes = tables.get("fit", {}).get("axes")
+    if axes is not None:
+        # A dynamometer is right-handed.
+        rows = [{"x": 0, "y": 1, "z": 2}[name[-1]] for name in axes]
+        signs = [-1 if name[0] == "-" else 1 for name in axes]
+        assert np.linalg.det(np.diag(signs) @ np.eye(3)[rows]) > 0
     for name, text in TABLES.items():
         (tmp_path / name).write_text(text)
     job = write_slides_job(tmp_path, program=PROGRAM.replace("G0", "T2 M6\nG0", 1))
