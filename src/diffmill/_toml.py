@@ -65,7 +65,9 @@ def read_toml(path: pathlib.Path) -> TomlFile:
             found = "a folder" if path.is_dir() else "no such file"
             raise JobError(path, [f"found {found}; a job file (.toml) is required"])
         if path.stat().st_size > _LARGEST_FILE:
-            raise JobError(path, ["found more than 1 MB; that is no job file"])
+            raise JobError(
+                path, ["found more than 1 MB; a job file (.toml) is required"]
+            )
         data = path.read_bytes()
     except OSError as error:
         raise JobError(path, [f"cannot be read: {error}"]) from error

@@ -101,6 +101,13 @@ def test_defaults_that_are_written_out_are_allowed(write, change, fewest):
     assert "axial_depth: found 23 mm" in problem
 
 
+def test_a_record_in_place_of_a_job_is_refused(tmp_path):
+    record = tmp_path / "slot1.txt"
+    record.write_text("0.1\t5.0\n" * 150_000)
+    with pytest.raises(JobError, match=r"more than 1 MB; a job file \(\.toml\) is req"):
+        load_job(record)
+
+
 def test_a_job_may_ask_for_the_chip_of_the_paper(write):
     chip = {"simulation.chip": "point_cloud"}
     settings = load_job(write(chip)).simulation

@@ -107,6 +107,13 @@ def test_a_fault_is_named(folder, text, fault):
     assert fault in problems(folder, text)
 
 
+def test_a_job_in_place_of_the_file_is_told_so(folder):
+    with pytest.raises(dm.JobError) as error:
+        load_learning(folder / "job.toml")
+    (problem,) = error.value.problems
+    assert problem.startswith("found a job; ") and 'as job = "job.toml"' in problem
+
+
 def posterior(job):
     """Return a machine with friction along x, and a process."""
     machine = dl.AdaptableMachine.of_job(job.with_precision(), dl.MachinePrior())

@@ -96,6 +96,9 @@ def load_learning(
     path = pathlib.Path(file)
     text, raw = read_toml(path)
     problems: list[str] = []
+    if "program" in raw and "job" not in raw:
+        fault = f'found a job; a file for learn names it, as job = "{path.name}"'
+        raise JobError(path, [f"{fault}, beside the measured parts (docs/learn.md)"])
     table = validated(LearningTable, raw, "learning:", problems)
     if table is None:
         raise JobError(path, problems)
