@@ -217,8 +217,9 @@ def test_codes_that_end_what_is_off_are_noted():
     program = parse_gcode(text)
     assert [move.end[0] / MM for move in program.moves] == [1, 2]
     noted = " ".join(program.notes)
-    for word in ("G15", "G40.1", "G50", "G69", "G50.1", "G13.1", "G67", "G5.1"):
+    for word in ("G15", "G40.1", "G50", "G69", "G50.1", "G13.1", "G67"):
         assert f": {word}: ends what is off here anyway" in noted
+    assert ": G5.1: how far the control looks ahead changes no path" in noted
     assert "G187: corners are as" in noted
 
 
@@ -258,6 +259,35 @@ def test_a_centre_of_the_other_kind_is_named(text, part):
     with pytest.raises(ProgramError) as caught:
         parse_gcode(text)
     assert part in caught.value.faults[0].message
+
+
+@pytest.mark.parametrize(
+    "words",
+    ["G5.1 Q1", "G5.1 Q1 R3", "G5 P10000", "G8 P1", "G103 P1", "G91 G28 X0 Y0 A0\nG90"],
+)
+def test_modes_of_controllers_change_no_path(words):
+    # A way home with an axis that turns ends the programs of usual posts.
+    program = parse_gcode(f"G0 X0 Y0 Z5\nG1 Z1 F60\nX2\nG0 Z5\n{words}\n")
+    assert [move.end[0] / MM for move in program.moves] == pytest.approx([0, 0, 2, 2])
+    assert words.split()[0] in " ".join(program.notes) or "G28" in words
+
+
+def test_further_systems_by_p():
+    rows = "G54.1 P3\nG0 X1 Y1 Z5\nG1 X2 F60\n"
+    assert motion(rows) == motion(rows.replace("G54.1", "G154"))
+    assert motion(rows)[-1] == ("f", 2, 1, 5)
+    assert faults(rows + "G154 P4 G0 X3") == [(4, "G154")]
+    assert faults("G54.1\nG0 X1") == [(1, "G54.1")]
+
+
+def test_repeats_by_k_and_a_rest_behind_pecks():
+    rows = "G90 G0 X0 Y0 Z9\nG83 X5 Z-4 R1 Q2.5 P.25 F60\nG91 X5 Z-5 R-8 K2\nG80\n"
+    program = parse_gcode(rows)
+    bottoms = [move for move in program.moves if abs(move.end[2] + 4 * MM) < 1e-9]
+    assert [move.end[0] / MM for move in bottoms] == pytest.approx([5, 10, 15])
+    assert [move.rest for move in bottoms] == [0.25] * 3
+    assert sum(move.rest for move in program.moves) == 0.75
+    assert faults(rows.replace("Z-5 R-8 ", "")) == [(3, "X5")]
 
 
 def test_centres_are_absolute_where_a_job_says_so():

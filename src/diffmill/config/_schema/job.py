@@ -42,8 +42,8 @@ from .machine import MachineTable, is_machine
 _Table = TypeVar("_Table")
 _Toml = TypeVar("_Toml", bound=TomlTable)
 _Settings = TypeVar("_Settings", bound=Settings)
-CoordinateSystem: TypeAlias = Literal[
-    "G54", "G55", "G56", "G57", "G58", "G59", "G59.1", "G59.2", "G59.3"
+CoordinateSystem: TypeAlias = Annotated[
+    str, Field(pattern=r"^(G5[4-9]|G59\.[123]|G54\.1 P[1-9]\d{0,2})$")
 ]
 # Keys of a TOML table are text.
 ToolNumber: TypeAlias = Annotated[int, Field(ge=0)]

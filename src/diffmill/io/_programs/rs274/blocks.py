@@ -7,7 +7,6 @@ from .words import Word
 
 # Codes of other controllers that end what has no beginning here, by modal group.
 _CANCELLING = {
-    51: "look-ahead",
     131: "polar interpolation",
     150: "polar coordinates",
     401: "normal direction",
@@ -32,6 +31,10 @@ _G_GROUPS = {
     **dict.fromkeys([400, 410, 411, 420, 421], "cutter radius"),
     **dict.fromkeys([430, 431, 432, 490], "tool length"),
     **dict.fromkeys([540, 550, 560, 570, 580, 590, 591, 592, 593], "system"),
+    # Further systems, by P: those of Fanuc, and the same ones of Haas.
+    **dict.fromkeys([541, 1540], "system"),
+    # High-speed modes of Fanuc controls, and how many blocks one of Haas reads ahead.
+    **dict.fromkeys([50, 51, 1030], "look-ahead"),
     **dict.fromkeys([610, 611, 640], "path control"),
     **dict.fromkeys([900, 910], "distance"),
     **dict.fromkeys([901, 911], "centres"),
@@ -58,7 +61,7 @@ _WHY_NOT = {
     **dict.fromkeys([380, 382, 383, 384, 385], "where a probe touches is not known"),
     **dict.fromkeys([330, 331, 740, 840], "threads are not simulated"),
     **dict.fromkeys([650, 660], "write the blocks of the macro out"),
-    **dict.fromkeys([50, 52, 53], "write the spline as arcs or lines"),
+    **dict.fromkeys([52, 53], "write the spline as arcs or lines"),
     **dict.fromkeys([760, 870, 880], "this cycle stops for the spindle or an operator"),
     70: "this is a diameter on a lathe",
     **dict.fromkeys([434, 435], "no kinematics of axes that turn the tool is given"),
@@ -74,13 +77,14 @@ _OWN_WORDS = {
     "smoothing": "PE",
 }
 ALLOWED_WORDS = (
-    "N, G0 to G4, G5.1 Q0, G8, G10, G13.1, G15 to G21, G28, G28.1, G30, "
-    "G30.1, G40 to G42.1, G43 to G43.2, G49, G50 to G59.3, G61, G61.1,"
-    " G64, G67 to G69, G73, G80 to G83, G85, G86, G89, G90, G90.1, G91, G91.1, G92 to "
-    "G92.3, G93 to G99, G187, X, Y, Z, I, J, K, R, P, Q, L, F, S, T, H, D, E, M0 to "
-    "M9, M13, M14, M19, M30, M48 to M53, M60 to M68, M98, M99, G65, A0, B0, C0, a "
-    "program number O, O-words, parameters # with expressions [ ], IF, WHILE, GOTO, "
-    "@ and ^, block delete /, comments ( ) and ;, and a line of % before and after"
+    "N, G0 to G4, G5 P, G5.1 Q, G8, G10, G13.1, G15 to G21, G28, G28.1, G30, G30.1, "
+    "G40 to G42.1, G43 to G43.2, G49, G50 to G54, G54.1 P, G55 to G59.3, G61, G61.1, "
+    "G64, G67 to G69, G73, G80 to G83, G85, G86, G89, G90, G90.1, G91, G91.1, G92 to "
+    "G92.3, G93 to G99, G103, G154 P, G187, X, Y, Z, I, J, K, R, P, Q, L, F, S, T, H, "
+    "D, E, M0 to M9, M13, M14, M19, M30, M48 to M53, M60 to M68, M98, M99, G65, A0, "
+    "B0, C0, a program number O, O-words, parameters # with expressions [ ], IF, "
+    "WHILE, GOTO, @ and ^, block delete /, comments ( ) and ;, and a line of % before "
+    "and after"
 )
 
 
@@ -168,8 +172,8 @@ def sorted_block(words: list[Word], line: int, faults: list[Fault]) -> Block:
             why = " (an axis that turns)" if letter in _ROTARY else ""
             message = f"{letter}{why} is not supported."
             block.refuse(word.text, message, True)
-    if block.g.get("once", 530) != 530:
-        # It would set the zero of the axis, or take it to its reference point.
+    if block.g.get("once", 530) not in (280, 300, 530):
+        # It would set the zero of the axis.
         for word in block.rotary:
             message = f"{word.letter} (an axis that turns) stands still here."
             block.refuse(word.text, message, True)

@@ -35,12 +35,14 @@ def run_cycle(block: Block, state: State, go: Go) -> None:
     shift = find_shift(block, state)
     _take_words(block, state)
     cycle = _resolved(state, shift)
-    repeats = block.number("L")
+    # K of Fanuc controls is L of others.
+    repeats = block.number("L" if "L" in block.values else "K")
     if any(math.isnan(word.number) for word in block.values.values()):
         return
     message = _fault(block, state, cycle, repeats)
     if message:
         block.refuse(motion_text(block), message)
+        block.used.update(block.values)
         return
     place, step = _first_hole(block, state, shift)
     at = list(state.position)
@@ -77,7 +79,7 @@ def _take_words(block: Block, state: State) -> None:
         cycle.level = state.position[state.plane]
     words = {"bottom": AXES[state.plane], "retract": "R"}
     # Words of other cycles stay unused, and are reported as such.
-    if state.motion in _WITH_REST:
+    if state.motion in _WITH_REST | _WITH_PECK:
         words["rest"] = "P"
     if state.motion in _WITH_PECK:
         words["peck"] = "Q"
@@ -108,7 +110,11 @@ def _fault(block: Block, state: State, cycle: Cycle, repeats: float | None) -> s
     if state.motion in _WITH_PECK and not cycle.peck > 0:
         return "this cycle needs a Q above 0 (depth of a peck)."
     if repeats is not None and not (repeats >= 1 and repeats % 1 == 0):
-        return "the number of repetitions L is a whole number from 1."
+        return "the number of repetitions L or K is a whole number from 1."
+    depth = {AXES[state.plane], "R"}
+    if "K" in block.values and state.is_incremental and not depth <= set(block.values):
+        # LinuxCNC counts those of a G90 before from the tool, Fanuc controls do not.
+        return "K in G91 needs R and the bottom of the hole in its line."
     return ""
 
 
@@ -151,5 +157,6 @@ def _plunge(state: State, cycle: Cycle, place: list[float], line: int, go: Go) -
             go(_at(place, level + clearance, depth), True)
             level -= cycle.peck
     go(_at(place, bottom, depth), False)
-    if state.motion in _WITH_REST:
+    # Behind pecks only some programs state a rest.
+    if state.motion in _WITH_REST | _WITH_PECK and not math.isnan(cycle.rest):
         state.out.dwell(cycle.rest, line)

@@ -66,7 +66,8 @@ _NO_MOTION = {
     "surface speed": "the spindle speed follows from the job, not from S",
     "orientation": "the spindle stops where the cutter does not cut",
     "signals": "inputs and outputs change no motion, and no wait takes time here",
-    "diameter": "X is a radius",
+    "diameter": "X is a radius; how far the control looks ahead changes no path",
+    "look-ahead": "how far the control looks ahead changes no path",
     "smoothing": "corners are as [program] corner_tolerance says",
     **dict.fromkeys(CANCELLED - TURNED, "ends what is off here anyway"),
 }
@@ -292,10 +293,13 @@ def _set_modes(block: Block, state: State) -> None:
     _note_codes(block, codes, "G", state)
     if "path control" in codes:
         block.used.update("PQ")
-    if "look-ahead" in codes and block.number("Q") != 0:
-        message = "G5.1 is supported as G5.1 Q0, which ends the look-ahead; write a "
-        message += "spline as arcs or lines."
-        block.refuse(block.texts["look-ahead"], message, True)
+    if "diameter" in codes:
+        block.used.add("P")
+    if "look-ahead" in codes:
+        block.used.update("PQR")
+        if not set("XYZIJ").isdisjoint(block.values):
+            message = "a spline is not supported; write it as arcs or lines."
+            block.refuse(block.texts["look-ahead"], message, True)
     if not CANCELLED.isdisjoint(codes):
         set_turns(block, state)
 

@@ -20,14 +20,24 @@ from .state import (
 )
 
 _SYSTEMS = ("G54", "G55", "G56", "G57", "G58", "G59", "G59.1", "G59.2", "G59.3")
+_MOST_SYSTEMS = 300
 
 
 def choose_system(block: Block, state: State) -> None:
-    """Apply G54 to G59.3."""
+    """Apply G54 to G59.3, and G54.1 or G154 with the P of a further system."""
     code = block.g.get("system")
-    if code is not None:
-        state.system = f"G{code / 10:g}"
-        state.shift = None
+    if code is None:
+        return
+    state.system, state.shift = f"G{code / 10:g}", None
+    if code in (541, 1540):
+        number = block.number("P")
+        if number is None or not (1 <= number <= _MOST_SYSTEMS and number % 1 == 0):
+            message = (
+                f"needed is a P from 1 to {_MOST_SYSTEMS}, the number of a system."
+            )
+            block.refuse(block.texts["system"], message)
+            return
+        state.system = f"G54.1 P{number:.0f}"
 
 
 def offset_axes(block: Block, state: State) -> None:

@@ -184,7 +184,7 @@ def find_zero(name: str, block: Block, state: State) -> Point:
         if state.zeros:
             message = (
                 f"where {name} lies is not known; needed is its zero in `work` "
-                f'(in a job: [program] offsets = {{ {name} = ["0 mm", ...] }}).'
+                f'(in a job: [program] offsets = {{ "{name}" = ["0 mm", ...] }}).'
             )
             block.refuse(block.texts.get("system", ""), message)
         state.zeros[name] = (0.0, 0.0, 0.0)
