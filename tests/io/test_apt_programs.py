@@ -50,6 +50,15 @@ def test_tracut_is_applied_and_ends(read, faults):
         assert faults(f"TRACUT/{wrong}\n" + text, ".apt")[0] == (1, "TRACUT")
 
 
+def test_home_is_where_it_says_or_where_a_program_came_from(read, faults):
+    text = "UNITS/MM\nFROM/1,2,30\nFEDRAT/600,MMPM\nGOTO/4,5,6\nGOHOME{}\nFINI"
+    for words, end in (("", (1, 2, 30)), ("/7,8,9", (7, 8, 9))):
+        program = read(text.format(words), ".cls")
+        assert places(program)[-1][:3] == pytest.approx(end)
+        assert [move.is_rapid for move in program.moves] == [False, True]
+    assert faults(START.format("", "1,2,3") + "GOHOME\nFINI", ".cls") == [(5, "GOHOME")]
+
+
 def test_points_of_the_world_stay_whatever_a_clamping_says(read):
     text = "UNITS/MM\nTRNTYP/WORLD,0,0,0\nCSYS/-1,0,0,0,0,1,0,0,0,0,-1,0\nRAPID\n"
     text += "GOTO/1,2,-30,0,0,-1\nTRNTYP/WORLD,0,0,0\nCSYS/1,0,0,0,0,1,0,0,0,0,1,0\n"

@@ -64,6 +64,16 @@ def test_places_that_are_written_out_have_values_of_any_kind(read, faults):
         assert faults(krl(row))[0][0] == 4
 
 
+def test_a_line_of_a_new_inline_form_is_read(read):
+    data = "DEFDAT part\nDECL E6POS XP5={X 1,Y 2,Z 3,A 0,B 0,C 180}\n"
+    data += "DECL LDAT LCPDAT3={VEL 0.1,ACC 100,APO_DIST 100,ORI_TYP #VAR}\nENDDAT\n"
+    row = "SLIN XP5 WITH $VEL=SVEL_CP(0.1,,LCPDAT3),$ACC=SACC_CP(LCPDAT3),$ORI_TYPE="
+    row += "SORI_TYP(LCPDAT3),$COLLMON_TOL_PRO[1]=USE_CM_PRO_VALUES(0) C_SPL"
+    program = read(krl(row), ".src", data)
+    assert places(program) == [(1, 2, 3)]
+    assert program.moves[-1].feed == pytest.approx(0.1)
+
+
 def test_frames_in_frames(read):
     # F turns by 90 deg about z: x of what is in it is y above.
     rows = [

@@ -66,6 +66,27 @@ def test_targets_that_are_written_out_have_expressions(read):
     assert places(read(rapid(head + rows), ".mod")) == [(20, 4, 0), (5, 6, 1)]
 
 
+def test_motions_that_set_signals_go_where_others_go(read):
+    place = [TARGET.format(x, y, 9) for x, y in [(5, 5), (0, 10), (7, 3), (8, 4)]]
+    rows = "VAR triggdata on;\nActUnit STN1;\nTriggIO on,5\\DOp:=do1,1;\n"
+    rows += f"TriggC {place[0]},{place[1]},v50,on\\T2:=on,z1,tool0\\WObj:=wobj0;\n"
+    rows += f"TriggL {place[2]},v50,on,z1,tool0;\n"
+    rows += f"MoveLDO {place[3]},v50,z1,tool0\\WObj:=wobj0,do1,1;\nDeactUnit STN1;\n"
+    program = read(rapid(rows), ".mod")
+    assert places(program) == [(0, 10, 9), (7, 3, 9), (8, 4, 9)]
+    # From (0, 0) over (5, 5) to (0, 10): half a circle about (0, 5).
+    assert program.moves[1].centre == pytest.approx((0, 5e-3, 9e-3))
+    assert program.moves[-1].feed == pytest.approx(0.05)
+
+
+def test_arrays_take_others_and_lists(read):
+    rows = "row:=[p,Offs(p,1,0,0),p];\nr:=[[1,2,3],[4,5,6]];\nrow{3}:="
+    rows += f"{TARGET.format('r{2,3}', 0, 9)};\n{to('row{2}')}{to('row{3}')}"
+    assert places(read(rapid(rows), ".mod")) == [(2, 2, 3), (6, 0, 9)]
+    with pytest.raises(ProgramError, match="needed are 3 values of robtarget"):
+        read(rapid("row:=[p,p];\n"), ".mod")
+
+
 def test_arrays_and_records(read):
     rows = "q:=p;\nq.trans.x:=q.trans.x+0.5;\nr{2,3}:=4;\nq.trans.z:=r{2,3};\n"
     rows += (

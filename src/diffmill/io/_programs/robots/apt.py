@@ -120,6 +120,8 @@ class _Apt(Reader):
         self.is_rapid = False
         self.spindle = 0.0
         self.feed_per_turn: float | None = None
+        # Numbers of the last FROM.
+        self.home: list[float] = []
         self.circle: _Circle | None = None
         self.forward: Point | None = None
         self.cycle: dict[str, float] | None = None
@@ -350,12 +352,16 @@ def _move(statement: _Statement, reader: _Apt) -> None:
     """Carry out a motion."""
     word, parts, line = statement.word, statement.parts, statement.line
     numbers = statement.numbers
+    if word == "GOHOME":
+        reader.is_rapid = True
+        parts = numbers = numbers or reader.home
+    if not parts:
+        message = "needed is a place; GOHOME alone goes to that of a FROM before it."
+        reader.reject(statement, message)
+        return
     if len(numbers) < len(parts) or len(parts) not in (3, 6, 7):
         message = f"needed are 3 numbers up to {LARGEST_NUMBER:g}, or 6 with the tool "
         reader.reject(statement, message + "axis.")
-        return
-    if word == "GOHOME":
-        reader.reject(statement, "where home is, the program does not say.")
         return
     reader.frames.use()
     point = reader.point(numbers[:3])
@@ -382,6 +388,7 @@ def _move(statement: _Statement, reader: _Apt) -> None:
         if message := fault_of(Move(point, point)):
             reader.reject(statement, message)
         reader.position, reader.axis, reader.is_placed = point, axis, True
+        reader.home = numbers
         reader.out.known.update("XYZ")
         return
     if reader.circle is not None:

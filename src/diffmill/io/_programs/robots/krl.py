@@ -116,7 +116,8 @@ _QUIET = re.compile(
     re.IGNORECASE,
 )
 _QUIET_WITH = re.compile(
-    r"\$(?:ACC|APO|JERK|GEAR_JERK|VEL_AXIS|ACC_AXIS|VEL_EXTAX|ACC_EXTAX|LOAD)\b.*",
+    r"\$(?:ACC|APO|JERK|GEAR_JERK|VEL_AXIS|ACC_AXIS|VEL_EXTAX|ACC_EXTAX|LOAD"
+    r"|COLLMON_TOL_PRO)\b.*",
     re.IGNORECASE,
 )
 _FRAMES = frozenset(["BASE", "TOOL", "IPO_MODE"])

@@ -52,7 +52,7 @@ _DECLARED = re.compile(
     re.IGNORECASE | re.DOTALL,
 )
 _MOVE = re.compile(
-    r"(MoveL|MoveJ|MoveC|MoveAbsJ)\b\s*(?:\\Conc\s*,)?\s*(.*)",
+    r"(Move[LJC](?:DO|AO|GO)?|MoveAbsJ|Trigg[LJC])\b\s*(?:\\Conc\s*,)?\s*(.*)",
     re.IGNORECASE | re.DOTALL,
 )
 _ASSIGNED = re.compile(r"(\w+(?:\s*[{.][^:]*)?)\s*:=\s*(.*)", re.DOTALL)
@@ -107,7 +107,8 @@ _QUIET = re.compile(
     r"(SetDO|SetGO|SetAO|Set|Reset|PulseDO|TPWrite|TPErase|ConfL|ConfJ|SingArea"
     r"(?=\s*\\(?:Off|Wrist)\b)|AccSet|WaitRob|Stop|ClkReset|ClkStart|ClkStop|SyncMoveOn"
     r"|SyncMoveOff|WaitSyncTask|WaitDI|WaitDO|WaitUntil|TPReadFK|GripLoad|Break"
-    r"|CirPathMode|PathAccLim)\b.*",
+    r"|CirPathMode|PathAccLim|ActUnit|DeactUnit|EOffsOff|PDispOff|MotionSup"
+    r"|Trigg(?:IO|Equip|Int))\b.*",
     re.IGNORECASE | re.DOTALL,
 )
 _WRIST = re.compile(r"SingArea\s*\\Wrist", re.IGNORECASE)
@@ -129,8 +130,9 @@ class _Rapid(Language):
         super().__init__(name, setup)
         texts = texts_of_rapid(self._missing, self.result_of)
         self.use(texts, lambda row, line: _statement(row, line, self), "=")
-        # Types of variables by name.
+        # Types of variables by name, and sizes of arrays.
         self.kinds: dict[str, str] = {}
+        self.sizes: dict[str, list[float]] = {}
         self.records = Records()
         # Components of the record that is defined now; None outside of any.
         self.components: dict[str, str] | None = None
@@ -492,7 +494,10 @@ def _assign(place: str, value: str, line: int, reader: _Rapid) -> None:
     texts, found = reader.texts, reader.texts.place(place)
     name = str(found.name(texts.variables))
     kind = reader.records.kind_of(reader.kinds.get(name, ""), found.path)
-    found.set(texts.variables, reader.records.of(kind, texts.value(value)))
+    # An index or a component takes a dimension away.
+    sizes = reader.sizes.get(name, [])[len(found.path) :]
+    new = reader.records.array_of(kind, sizes, texts.value(value))
+    found.set(texts.variables, new)
 
 
 def _declare(match: re.Match[str], line: int, reader: _Rapid) -> None:
@@ -505,7 +510,7 @@ def _declare(match: re.Match[str], line: int, reader: _Rapid) -> None:
     reader.kinds[name] = kind
     # Sizes may be constants.
     sizes = [reader.number(one) for one in (match[3] or "").split(",") if one.strip()]
-    variables = reader.texts.variables
+    variables, reader.sizes[name] = reader.texts.variables, sizes
     shared = None if reader.is_running else variables.shared
     try:
         if value is None:
@@ -641,6 +646,14 @@ def _take_tool(name: str, line: int, reader: _Rapid) -> None:
 def _move(kind: str, words: str, line: int, reader: _Rapid) -> None:
     """Carry out a motion."""
     arguments = split_arguments(words)
+    if kind.startswith("trigg"):
+        # What it sets off stands before the zone.
+        kind = kind.replace("trigg", "move")
+        del arguments[-3:-2]
+    elif kind[5:] in ("do", "ao", "go"):
+        # A signal and its value stand behind the tool.
+        kind = kind[:5]
+        del arguments[-2:]
     count = 5 if kind == "movec" else 4
     if len(arguments) != count:
         reader.refuse(
