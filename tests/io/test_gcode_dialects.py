@@ -272,6 +272,16 @@ def test_modes_of_controllers_change_no_path(words):
     assert words.split()[0] in " ".join(program.notes) or "G28" in words
 
 
+def test_units_of_other_controllers_and_the_second_point():
+    rows = "{}\nG0 X1 Y0 Z2\nG1 X3 F10\nG0 Z4\n"
+    for old, new in (("G20", "G70"), ("G21", "G71")):
+        assert motion(rows.format(old)) == motion(rows.format(new))
+    assert faults("G70 I10 J0 L4\nG0 X1")[0] == (1, "I10")
+    rows = rows.format("G21") + "G30 {} G91 Z0\n"
+    assert motion(rows.format("P2")) == motion(rows.format(""))
+    assert faults(rows.format("P3")) == [(5, "G30")]
+
+
 def test_further_systems_by_p():
     rows = "G54.1 P3\nG0 X1 Y1 Z5\nG1 X2 F60\n"
     assert motion(rows) == motion(rows.replace("G54.1", "G154"))

@@ -27,7 +27,8 @@ _G_GROUPS = {
         [40, 100, 280, 281, 300, 301, 520, 530, 920, 921, 922, 923], "once"
     ),
     **dict.fromkeys([170, 180, 190], "plane"),
-    **dict.fromkeys([200, 210], "units"),
+    # G70 and G71 of Siemens controls, which posts of planning systems write for others.
+    **dict.fromkeys([200, 210, 700, 710], "units"),
     **dict.fromkeys([400, 410, 411, 420, 421], "cutter radius"),
     **dict.fromkeys([430, 431, 432, 490], "tool length"),
     **dict.fromkeys([540, 550, 560, 570, 580, 590, 591, 592, 593], "system"),
@@ -79,7 +80,7 @@ _OWN_WORDS = {
 ALLOWED_WORDS = (
     "N, G0 to G4, G5 P, G5.1 Q, G8, G10, G13.1, G15 to G21, G28, G28.1, G30, G30.1, "
     "G40 to G42.1, G43 to G43.2, G49, G50 to G54, G54.1 P, G55 to G59.3, G61, G61.1, "
-    "G64, G67 to G69, G73, G80 to G83, G85, G86, G89, G90, G90.1, G91, G91.1, G92 to "
+    "G64, G67 to G71, G73, G80 to G83, G85, G86, G89, G90, G90.1, G91, G91.1, G92 to "
     "G92.3, G93 to G99, G103, G154 P, G187, X, Y, Z, I, J, K, R, P, Q, L, F, S, T, H, "
     "D, E, M0 to M9, M13, M14, M19, M30, M48 to M53, M60 to M68, M98, M99, G65, A0, "
     "B0, C0, a program number O, O-words, parameters # with expressions [ ], IF, "

@@ -279,7 +279,7 @@ def _set_modes(block: Block, state: State) -> None:
         state.plane = _PLANES.index(codes["plane"])
         state.is_plane_known = True
     if "units" in codes:
-        state.scale = MM_PER_INCH if codes["units"] == 200 else 1.0
+        state.scale = MM_PER_INCH if codes["units"] in (200, 700) else 1.0
     if "cutter radius" in codes:
         compensate_radius(block, state)
     compensate_length(block, state)
@@ -391,6 +391,10 @@ def _once(block: Block, state: State) -> None:
 def _return_home(block: Block, state: State) -> None:
     """Go to a reference point of the machine, through the point of the axis words."""
     is_second = block.g["once"] == 300
+    # Fanuc controls have a third and a fourth point.
+    if is_second and block.number("P") not in (None, 2):
+        message = "G30 goes to the second reference point, P2."
+        block.refuse(block.texts["once"], message)
     reference = state.references[is_second]
     zero = state.setup.machine_zero
     if reference is None and zero is not None:
