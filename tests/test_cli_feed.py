@@ -228,6 +228,8 @@ def test_the_fastest_feed_within_a_tolerance_is_written(folder, monkeypatch, cap
         return correction.FastestFeed(tried, tried[0], "tolerance", path)
 
     monkeypatch.setattr(correction, "fastest_feed", fastest)
+    program = (folder / "part.ngc").read_text()
+    (folder / "part.ngc").write_text(f"T3 M6\nG43 H3\n{program}")
     command = ["feed", "job.toml", "--tolerance", "50 um", "--max-force", "100 N"]
     assert main([*command, "--max-power", "0.5 kW"]) == 0
     assert asked["tolerance"] == pytest.approx(5e-5) and not asked["corrects"]
@@ -237,7 +239,9 @@ def test_the_fastest_feed_within_a_tolerance_is_written(folder, monkeypatch, cap
     assert "; the next larger breaks: tolerance" in said
     assert "beyond the limit: tolerance" in said and "       350" in said
     assert (out / "summary.txt").read_text() in said
-    assert "the fastest feed by diffmill" in (out / "fastest.ngc").read_text()
+    fastest_program = (out / "fastest.ngc").read_text()
+    for part in ("the fastest feed by diffmill", "\nT3 M6\n", "\nG43 H3\n"):
+        assert part in fastest_program
     page = (out / "report.html").read_text()
     assert "a power of 0.5 kW" in page and "largest power [W]" in page
     assert "<b>Override 1.000.</b>" in page and page.count("<img ") == 1

@@ -200,7 +200,7 @@ def _positive(option: str, text: str | None, kind: "QuantityKind") -> float:
 
 def _path_files(name: str, job: "Job", path: "Path", what: str) -> dict[str, str]:
     """Path as CSV, and of a tool that is upright as a program."""
-    from ..io import write_gcode, write_path_csv
+    from ..io import program_frame, write_gcode, write_path_csv
 
     files = {f"{name}.csv": write_path_csv(path)}
     if path.is_upright:
@@ -208,6 +208,7 @@ def _path_files(name: str, job: "Job", path: "Path", what: str) -> dict[str, str
             path,
             header=[f"{job.name}, {what} by diffmill"],
             spindle_speed=float(job.spindle_speed),
+            frame=program_frame(job.program, np.asarray(path.line).tolist()),
         )
     return files
 
