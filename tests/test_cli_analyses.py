@@ -140,6 +140,24 @@ def test_a_log_has_one_line_a_stage_and_one_if_it_compiles(folder, monkeypatch, 
     assert sum("robot and cut" in text for _, text in told) == 1
 
 
+def test_a_first_step_that_compiles_does_not_count_in_the_time_left(
+    folder, monkeypatch, capsys
+):
+    now = [time.perf_counter() + 1e3]
+
+    def simulate(job, *, on_progress, **options):
+        monkeypatch.setattr(time, "perf_counter", lambda: now[0])
+        for seconds, share in ((0, 0.0), (900, 0.1), (10, 0.3)):
+            now[0] += seconds
+            on_progress(f"step at {share}", share)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(sim, "simulate", simulate)
+    assert main(["simulate", "job.toml"]) == 1
+    # A fifth took 10 s.
+    assert "30 %  step at 0.3, about 35 s left\n" in capsys.readouterr().err
+
+
 def test_a_log_gets_a_line_every_minute_of_a_long_stage(folder, monkeypatch, capsys):
     begun, clock = time.perf_counter(), time.perf_counter
 

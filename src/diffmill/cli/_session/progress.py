@@ -116,7 +116,7 @@ class Progress:
         self._paces = [*self._paces, (now - then) / (share - before)][-_LATEST:]
         if len(self._paces) < _LEAST_STEPS or share >= 1:
             return ""
-        left = (1 - share) * statistics.median(self._paces)
+        left = (1 - share) * statistics.median_low(self._paces)
         return f", about {spelled(left)} left"
 
     def within(self, message: str, share: float) -> None:
