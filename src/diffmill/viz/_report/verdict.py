@@ -475,6 +475,6 @@ def _part_share(dataset: "xarray.Dataset", case: str) -> list[str]:
     if excess[part] < _NAMED_EXCESS:
         return []
     return [
-        f"The {part} holds {100 * squares[part] / total:.0f} % of the square of the "
-        f"contour error in {100 * rows[part] / count:.0f} % of the steps."
+        f"{100 * squares[part] / total:.0f} % of the square of the contour error is in "
+        f"the {part}, which has {100 * rows[part] / count:.0f} % of the steps."
     ]
