@@ -123,6 +123,31 @@ def test_a_job_names_the_tool_of_several_and_takes_its_diameter(here, capsys):
     assert 'upper = ["37.4 mm", "9.4 mm", "0 mm"]' in text
 
 
+FACING = """G21 G17 G90 G94
+S6000 M3
+G0 X-10 Y6 Z1
+G1 Z-0.5 F400
+G1 X50 F1200
+G0 Y18
+G1 X-10
+G0 Y36
+G1 X50
+G0 Z20
+M2
+"""
+
+
+def test_the_assumed_block_is_clear_of_rapid_moves_at_depth(here, capsys):
+    (here / "top.ngc").write_text(FACING)
+    options = [*ANSWERED[:2], "--diameter", "16 mm", *ANSWERED[4:]]
+    assert main(["new", "top.ngc", *options]) == 0
+    assert "without faults" in capsys.readouterr().out
+    text = (here / "top.toml").read_text()
+    # Along y no rapid move follows an edge.
+    assert 'lower = ["-1.5 mm", "6 mm", "-1.5 mm"]' in text
+    assert 'upper = ["41.5 mm", "36 mm", "0 mm"]' in text
+
+
 def test_a_file_that_is_there_is_kept(program, capsys):
     job = program.with_suffix(".toml")
     job.write_text("precious")

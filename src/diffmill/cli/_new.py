@@ -53,6 +53,7 @@ class _Facts(NamedTuple):
         tools: Numbers of its tools.
         tool: That of the moves; None without a number.
         goes_sideways: True if the tip moves sideways at a feed.
+        rapids: Both ends of the rapid moves sideways [m].
         has_base: True if it states the place of the work in the robot's base.
         needs_acceleration: False for a path with times of its own.
     """
@@ -66,6 +67,7 @@ class _Facts(NamedTuple):
     tools: tuple[int | None, ...]
     tool: int | None
     goes_sideways: bool
+    rapids: Float[np.ndarray, "move 2 3"]
     has_base: bool
     needs_acceleration: bool
 
@@ -164,6 +166,7 @@ def _path_facts(path: "Path") -> _Facts:
         tools=(),
         tool=None,
         goes_sideways=True,
+        rapids=np.zeros((0, 2, 3)),
         has_base=False,
         needs_acceleration=False,
     )
@@ -188,6 +191,14 @@ def _program_facts(program: "Program", tool: int | None) -> _Facts:
         tools=program.tools,
         tool=own.tools[0],
         goes_sideways=any(move.start[:2] != move.end[:2] for move in at_feed),
+        rapids=np.reshape(
+            [
+                (move.start, move.end)
+                for move in moves
+                if move.is_rapid and move.start[:2] != move.end[:2]
+            ],
+            (-1, 2, 3),
+        ),
         has_base=program.work_position is not None,
         needs_acceleration=True,
     )
@@ -344,12 +355,17 @@ def _stock_lines(options: JobOptions, facts: _Facts) -> list[str]:
         # both ways is the outline of the block.
         beside = -(diameter / 2 + _CLEAR) if is_long[a] else diameter / 2
         beside = 0.0 if all(is_long) else beside
-        lower[a], upper[a] = lower[a] - beside, upper[a] + beside
+        # A rapid move at the depth of the cut is beside the block.
+        deep = facts.rapids[facts.rapids[:, :, 2].max(axis=1) < upper[2], :, a]
+        for bounds, sign in ((lower, -1), (upper, 1)):
+            is_open = is_long[a] and bool(np.all(deep == bounds[a], axis=1).any())
+            away = -(diameter / 2 + _CLEAR) if is_open else beside
+            bounds[a] += sign * away
     return [
         "[stock]",
-        "# ASSUMED: the tip goes to the edges of the block, in a slot beyond them, and",
-        "# the block ends 1 mm below the deepest cut. Write the block that you clamp,",
-        "# in the coordinates of the program.",
+        "# ASSUMED: the tip goes to the edges of the block, in a slot and by rapid",
+        "# moves at depth beyond them, and the block ends 1 mm below the deepest cut.",
+        "# Write the block that you clamp, in the coordinates of the program.",
         f"lower = {_millimetres(lower)}",
         f"upper = {_millimetres(upper)}",
         f"spacing = {spacing}             # a 40th of the cutter's diameter or less",
