@@ -346,6 +346,12 @@ def test_rapid_through_the_stock(write):
     assert "line 6" in upward
 
 
+def test_the_end_of_a_peck_is_no_rapid_move_through_the_stock(write):
+    """The row in which the tool turns back is rapid; the feed cut up to it."""
+    holes = "G0 X10 Y5 Z2\nG83 X10 Y5 Z-2.5 R1 Q0.8 F240\nG80\nM2\n"
+    load_job(write(program=f"G21 G17 G90 G94\n{holes}"))
+
+
 def test_out_of_reach(write):
     far = {"robot": ARM, "robot.work_in_base.position": ["5525 mm", "-5 mm", "936 mm"]}
     (problem,) = problems_of(write(far))

@@ -53,7 +53,21 @@ def check_rapids(
             "force: start it clear of the stock"
         )
     in_rapid[0] = 0
+    in_rapid[_ends_feed(path, in_rapid)] = 0
     _note_rapids(path, in_rapid, "", context.problems)
+
+
+def _ends_feed(
+    path: Path, depth: Float[np.ndarray, " step"]
+) -> Bool[np.ndarray, " step"]:
+    """True in first rows of rapid moves no deeper than the feed before them goes.
+
+    Part of the way to such a row is the end of a feed, as at the bottom of a hole.
+    """
+    tips = np.asarray(path.positions, float)
+    lengths = np.linalg.norm(np.diff(tips, axis=0, prepend=tips[:1]), axis=1)
+    is_first = np.diff(path.is_rapid, prepend=False) & path.is_rapid
+    return is_first & (depth <= np.roll(lengths, 1) + _SAME_LENGTH)
 
 
 def _draws_back(path: Path) -> Bool[np.ndarray, " step"]:
