@@ -104,6 +104,7 @@ def test_static_sizes_stay_when_sizes_are_traced():
     [
         ({"diameter": -1e-3}, "`diameter` must be finite and positive"),
         ({"diameter": math.nan}, "`diameter` must be finite and positive"),
+        ({"diameter": 10}, "`diameter` must be in metres, 1 at most, but is 10"),
         ({"teeth": 0}, "`teeth` must be at least 1"),
         ({"flute_length": 0.0}, "`flute_length`"),
         ({"helix_angle": 1.6}, "`helix_angle`"),

@@ -27,6 +27,8 @@ _LEAST_HALF_CHORD = 0.02
 _LEAST_HEIGHT = 1e-9
 # Least slope of the signed distance along a ray that its derivatives are divided by.
 _LEAST_SLOPE = 1e-3
+# Diameter of the largest cutters [m].
+_LARGEST = 1.0
 
 
 class EndMill(AbstractCutter):
@@ -91,6 +93,12 @@ class EndMill(AbstractCutter):
                     f"Argument `{name}` must be finite and positive, but is {value}."
                 )
         R, rc = self.nominal_radius, self.nominal_corner_radius
+        # Millimetres in place of metres.
+        if 2 * R > _LARGEST:
+            raise ValueError(
+                f"Argument `diameter` must be in metres, {_LARGEST:g} at most, but is "
+                f"{2 * R:g}."
+            )
         if self.kind == "bull" and not 0 < rc < R:
             raise ValueError(
                 f"Argument `corner_radius` must be above 0 and below the radius, {R}, "
