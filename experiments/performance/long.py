@@ -1,9 +1,10 @@
 """Time and memory of `simulate` on long programs: zig-zags with pockets.
 
-python experiments/performance/long.py [--rows 20000 80000] [--keep FOLDER]
+python experiments/performance/long.py [--rows 20000 80000] [--adaptive] [--keep FOLDER]
 
 A command runs twice in a process of its own; the second one counts, since the first one
-compiles. `--keep` leaves jobs, results and compiled programs in a folder.
+compiles. `--adaptive` lets tooth periods share engagement updates, `--keep` leaves
+jobs, results and compiled programs in a folder.
 """
 
 import argparse
@@ -37,13 +38,13 @@ def measure(report):
         measure_rows(report, ROWS[:1], pathlib.Path(folder))
 
 
-def measure_rows(report, counts, folder):
+def measure_rows(report, counts, folder, resolution="every tooth"):
     """Print time, processor time and peak memory for paths of about so many rows."""
     environment = {**os.environ, "JAX_COMPILATION_CACHE_DIR": str(folder / "cache")}
     report.say(f"{'rows':>8} {'s':>8} {'processor s':>12} {'MB':>7}")
     spent = {}
     for count in counts:
-        job, out = write_job(folder, count), folder / f"long{count}-out"
+        job, out = write_job(folder, count, resolution), folder / f"long{count}-out"
         command = [sys.executable, "-m", "diffmill", "simulate", str(job)]
         command += ["--out", str(out), "--force"]
         run(command, environment)
@@ -60,12 +61,13 @@ def measure_rows(report, counts, folder):
         report.figure("processor time of a further row", each, MILLISECONDS, "ms")
 
 
-def write_job(folder, rows):
+def write_job(folder, rows, resolution="every tooth"):
     """Write a job of about so many rows; return its file.
 
     Args:
         folder: The folder.
         rows: Tooth periods of its path.
+        resolution: Key of its simulation.
     """
     passes = max(1, round(rows / (PASS_ROWS + POCKET_ROWS / POCKET_EVERY)))
     width, name = max(30.0, PASS * passes + 6), f"long{rows}"
@@ -74,6 +76,7 @@ def write_job(folder, rows):
         '"42 mm", "17 mm"': f'"{LENGTH} mm", "{width:g} mm"',
         'spacing = "0.2 mm"': 'spacing = "0.5 mm"',
         "paper_small.ngc": f"{name}.ngc",
+        "[simulation]": f'[simulation]\nresolution = "{resolution}"',
         '"1514 mm", "-8.5 mm"': f'"{1535 - LENGTH / 2:g} mm", "{-width / 2:g} mm"',
     }
     for old, new in changes.items():
@@ -137,10 +140,13 @@ if __name__ == "__main__":
 
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rows", nargs="+", type=int, default=ROWS)
+    parser.add_argument("--adaptive", action="store_true")
     parser.add_argument("--keep", type=pathlib.Path)
     options = parser.parse_args()
     kept = options.keep and contextlib.nullcontext(options.keep)
     with kept or tempfile.TemporaryDirectory() as name:
         path = pathlib.Path(name)
         path.mkdir(parents=True, exist_ok=True)
-        measure_rows(Report("diffmill simulate, long paths"), options.rows, path)
+        resolution = "adaptive" if options.adaptive else "every tooth"
+        report = Report("diffmill simulate, long paths")
+        measure_rows(report, options.rows, path, resolution)
