@@ -221,7 +221,8 @@ def _ran(
         own = _with_stock_of(process, state)
         ran = _segment(machine, own, told, state, count, plan.is_adaptive)
         counted = [np.asarray(x)[: segment.row_count] for x in (ran.actual, ran.force)]
-        if np.any((counted[0] < least) | (counted[0] > most)):
+        has_left = np.any((counted[0] < least) | (counted[0] > most))
+        if has_left and any(apart.most_on_a_ray()):
             room *= 2
             continue
         if not bool(ran.state.process.has_overflow):
@@ -249,6 +250,8 @@ def _enough(
     while any(n > count for n, count in zip(needed, counts, strict=True)):
         # Where no more may be asked for, what is there must have room.
         counts = plan.more_slots(counts) or tuple(map(max, needed, counts))
+        # No segment has as few slots again.
+        _segment.forget()
     return counts
 
 
