@@ -110,7 +110,8 @@ class Reader:
         if not cuts or min(move.axis[2] for move in cuts) > _FLAT_HEIGHT:
             return
         axis = self.tool_axis
-        turned = [controller_matrix(m.axis, m.tool_x, axis)[2] for m in cuts]
+        places = {(move.axis, move.tool_x) for move in cuts}
+        turned = [controller_matrix(*place, axis)[2] for place in places]
         # Largest z of a direction from the shank to the tip, by its name.
         highest = {
             f"{sign}{name}": max(
