@@ -85,7 +85,8 @@ def test_learning_goes_on_from_each_of_its_checkpoints(job):
         *("the program as the model", "beyond its model, step 1", "step 3 of 3"),
         *("as it was learnt", "next command: mirror", "Gauss-Newton step 1 done"),
     ):
-        assert [shares[0] for name, shares in told.items() if stage in name] == [0.0]
+        begun = [shares[0] for name, shares in told.items() if stage in name]
+        assert begun and not any(begun)
     for name, shares in told.items():
         if "beyond its model" in name:
             # The linear system, then a run for each friction and gap.
