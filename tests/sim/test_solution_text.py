@@ -1,8 +1,10 @@
 """Jobs and solutions as text and as tables: what a notebook shows of them."""
 
+import dataclasses
 import inspect
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import equinox as eqx
 import jax
@@ -12,6 +14,8 @@ import pytest
 import diffmill as dm
 from small_job import write_job
 
+# Rows that all cases of a correction share.
+SHARED = ("time", "desired")
 PROGRAM = "G21 G17 G90 G94\nG0 X-6 Y4 Z-1\nG1 X-4 F6000\nM2\n"
 
 
@@ -109,3 +113,51 @@ def test_time_is_a_coordinate_and_a_table_has_a_row_per_tooth_period(solution):
     assert len(table) == rows
     np.testing.assert_array_equal(table.force_y, solution.force[:, 1])
     np.testing.assert_array_equal(table.time, solution.time)
+
+
+def test_every_row_of_a_run_may_differ_from_case_to_case_of_a_correction(solution):
+    """Rows that a case has of its own are not taken from another one."""
+    before, names = solution, [field.name for field in dataclasses.fields(solution)]
+    rows = [name for name in names if is_row(solution, name)]
+    changes = {name: getattr(before, name) + 1 for name in rows}
+    assert {"force", "spindle_torque", "contour_error"} <= set(changes)
+    after = dataclasses.replace(before, **changes)
+    cases = {"uncorrected": before, "corrected": after}
+    data = correction_of(cases).to_dataset({})
+    for name, solution in cases.items():
+        for key, wanted in solution.to_dataset().items():
+            found = data[key].sel(case=name) if "case" in data[key].dims else data[key]
+            np.testing.assert_array_equal(found, wanted, err_msg=str(key))
+
+
+def is_row(solution, name):
+    """True if rows of numbers, one a tooth period, belong to a case."""
+    values = getattr(solution, name)
+    is_long = getattr(values, "shape", ())[:1] == solution.time.shape
+    return name not in SHARED and is_long and values.dtype.kind == "f"
+
+
+def correction_of(cases):
+    """Return a correction with some cases, of which no method is known."""
+    before = cases["uncorrected"]
+    method = SimpleNamespace(
+        contour=np.ones(before.desired.shape),
+        forward_runs=1,
+        linearisations=0,
+        detail={},
+        history=(),
+        result=before.result,
+    )
+    parts = np.where(np.asarray(before.is_cutting), 0, -1)
+    values = {
+        "cases": cases,
+        "methods": dict.fromkeys(cases, method),
+        "wall_time": dict.fromkeys(cases, 1.0),
+        "path_parts": dm.correction.PathParts(parts),
+        "chosen": "corrected",
+    }
+    # Without the checks of its fields: the methods are none.
+    correction = object.__new__(dm.correction.Correction)
+    for name, value in values.items():
+        object.__setattr__(correction, name, value)
+    return correction
