@@ -255,6 +255,7 @@ FAULTS = [
     ("cutter.diameter", 10, ("10", "a length")),
     ("cutter.diameter", "10", ("'10'", "a length")),
     ("cutter.diameter", "-10 mm", ("'-10 mm'", "above 0")),
+    ("cutter.diameter", "10 m", ("found 10 m", "1 m at most")),
     ("cutter.diameter", "nan mm", ("'nan mm'", "finite")),
     ("cutter.diametre", "10 mm", ("unknown key", "perhaps diameter is meant")),
     ("cutter.diameter", None, ("found nothing", '"10 mm"')),

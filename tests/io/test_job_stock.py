@@ -188,10 +188,12 @@ def test_a_rapid_move_through_a_mesh_is_found(write):
     assert load_job(file).stock.top == 0
 
 
-@pytest.mark.parametrize(("diameter", "count"), [("10 mm", 0), ("10 m", 1)])
+@pytest.mark.parametrize(("diameter", "count"), [("10 mm", 0), ("0.9 m", 1)])
 def test_a_cutter_larger_than_all_its_stock_is_told(write, diameter, count):
     file = write(BOX, SPACING)
     file.write_text(file.read_text().replace("10 mm", diameter, 1))
-    told = [note for note in load_job(file).notes if "10000 mm" in note]
+    told = [
+        note for note in load_job(file).notes if "larger than the whole stock" in note
+    ]
     assert len(told) == count
     assert all("x 0 to 20, y 0 to 10, z -3 to 0 mm" in note for note in told)

@@ -140,7 +140,7 @@ def test_a_path_that_jumps_is_noted(described):
 @pytest.mark.parametrize(
     ("text", "line", "part"),
     [
-        ("; %_N_HOUSING_MPF\nG71 G90\nG0 X1\n", 1, "Siemens"),
+        ("; %_N_HOUSING_MPF\nTRANS X5\nG0 X1\n", 1, "Siemens"),
         ("N5 G90\nN10 T=\"MILL\" D1\nG0 X1\n", 2, "Siemens"),
         ("N5 G90 G0 X=12.5 Y0\n", 1, "Siemens"),
         ("G0 X1\nG1 X2 F9\nCYCLE82(5,0,1,-3,,0.5)\n", 3, "Siemens"),

@@ -176,8 +176,8 @@ def test_a_work_object_that_changes_is_refused(read, faults):
         assert faults(rapid(first, move(0), row, move(9), data=data), ".mod")[0][0] == 6
 
 
-@pytest.mark.parametrize("row", ["ActUnit STN1;", "EOffsSet e1;", "PDispOn p1,tool0;"])
-def test_units_and_offsets_of_rapid_are_refused(faults, row):
+@pytest.mark.parametrize("row", ["EOffsSet e1;", "PDispOn p1,tool0;"])
+def test_offsets_of_rapid_are_refused(faults, row):
     assert [line for line, _ in faults(rapid(row, move(0), move(9)), ".mod")] == [3]
 
 

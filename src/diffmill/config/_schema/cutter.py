@@ -12,6 +12,8 @@ from ...settings.tables import TomlTable
 if TYPE_CHECKING:
     from ...cutter import EndMill, ToolHolder
 
+# Diameter of the largest cutters, as `EndMill` takes them [m].
+_LARGEST = 1.0
 # Steepest helix [rad], and how far angles between teeth may miss a whole turn [deg].
 _STEEPEST = 1.4
 # The most by which an end is ground hollow [rad].
@@ -42,7 +44,7 @@ class CutterTable(TomlTable):
         default="flat", description="shape of the end; bull has a corner radius"
     )
     diameter: PositiveLength = Field(
-        description='diameter of the cutter, such as "10 mm"'
+        description='diameter of the cutter, such as "10 mm", 1 m at most'
     )
     corner_radius: PositiveLength | None = Field(
         default=None,
@@ -91,6 +93,15 @@ class CutterTable(TomlTable):
         description="cylinders and cones from the lower face of the holder up, whose "
         "contact with the stock is reported; given together with overhang",
     )
+
+    @pydantic.field_validator("diameter")
+    @classmethod
+    def _not_in_metres(cls, value: float) -> float:
+        if value > _LARGEST:
+            raise ValueError(
+                f"found {value:g} m, but {_LARGEST:g} m at most is allowed"
+            )
+        return value
 
     @pydantic.field_validator("corner_radius")
     @classmethod
