@@ -179,6 +179,19 @@ def test_a_tool_far_from_its_path_meets_the_stock_there(tmp_path):
     assert_same(found, wanted)
 
 
+@pytest.mark.slow
+def test_a_replay_takes_the_slots_that_it_needs(tmp_path):
+    """A run in segments may do with fewer than its rays have pieces."""
+    job = job_of(tmp_path, "elastic")
+    solution = dm.simulate(job)
+    row = [int(np.flatnonzero(np.asarray(solution.is_cutting))[-1])]
+    wanted = dm.sim.stability(job, solution, rows=row)
+    few = dataclasses.replace(job, stock=job.stock.with_interval_counts((1, 1, 1)))
+    found = dm.sim.stability(few, solution, rows=row)
+    assert wanted.radius[0] > 0.5
+    np.testing.assert_allclose(found.radius, wanted.radius, rtol=1e-12)
+
+
 class Stopped(Exception):
     """An interruption behind some segments."""
 
