@@ -9,33 +9,43 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from references import halfspaces, marching
 
 from diffmill import RESULTS, cutter as ct, cutting, process as pr, sim, workpiece as wp
 
 R, D, FEED, TEETH, STEPS = 3e-3, 0.25e-3, 0.1e-3, 2, 100
 DISH = math.radians(2)
+# Of the end.
+ANNULI = 4
 LAW = cutting.LinearEdgeLaw(
     K_tc=900e6, K_rc=300e6, K_ac=60e6, K_te=12e3, K_re=15e3, K_ae=0.0
 )
-MILL = ct.flat_end_mill(2 * R, TEETH, dish_angle=DISH)
+
+
+def hollow(dish):
+    return ct.flat_end_mill(2 * R, TEETH, dish_angle=dish)
+
+
+MILL = hollow(DISH)
 STOCK = wp.box([-4e-3, -5e-3, -6e-3], [14e-3, 5e-3, 0], D)
 
 
 @functools.cache
-def compiled(has_bottom=True):
+def compiled(has_bottom=True, dish=DISH):
+    mill = hollow(dish)
     plan = pr.choose_engagement(
-        STOCK, MILL, axial_depth=5e-3, plunges=True, has_bottom=has_bottom
+        STOCK, mill, axial_depth=5e-3, plunges=True, has_bottom=has_bottom
     )
 
     @eqx.filter_jit
     def run(path):
-        return sim.simulate_process(path, STOCK, MILL, LAW, 837.0, engagement=plan)
+        return sim.simulate_process(path, STOCK, mill, LAW, 837.0, engagement=plan)
 
     return run
 
 
-def forces(path, has_bottom=True):
-    solution = compiled(has_bottom)(path)
+def forces(path, has_bottom=True, dish=DISH):
+    solution = compiled(has_bottom, dish)(path)
     assert bool(solution.result == RESULTS.successful)
     return np.asarray(solution.force)
 
@@ -44,9 +54,10 @@ def line(step, start=(0.0, 0.0, -1e-3)):
     return np.array(start) + np.arange(STEPS)[:, None] * np.array(step)
 
 
-def of_the_end(path):
+def of_the_end(path, dish=DISH):
     """Return the steady force of the end alone [N]."""
-    return (forces(path) - forces(path, has_bottom=False))[-15:].mean(axis=0)
+    with_end, without = (forces(path, has_bottom, dish) for has_bottom in (True, False))
+    return (with_end - without)[-15:].mean(axis=0)
 
 
 def test_a_plunge_cuts_with_the_whole_end():
@@ -170,6 +181,24 @@ def ramp_force(slope):
 def test_a_ramp_cuts_with_what_has_descended_below_its_corner(slope):
     found = of_the_end(line([FEED, 0, -slope * FEED], (0, 0, -0.5e-3)))
     assert found[2] == pytest.approx(ramp_force(slope), rel=2e-2)
+
+
+def test_teeth_of_the_end_go_on_trochoids_in_a_ramp():
+    # Two circles a period apart leave a chip as thick all round: no force in the plane.
+    step = np.array([FEED, 0, -0.3 * FEED])
+    found = of_the_end(line(step, (0, 0, -0.5e-3)), dish=0.0)
+    wanted = marching.mean_force(
+        marching.Tool(radius=R, length=5e-3, tooth_angles=marching.even_teeth(TEETH)),
+        marching.LinearLaw(0, 0, 0),
+        halfspaces.half_space(np.array([0, 0, 1.0]), 5e-3),
+        step,
+        np.array([0, 0, 1.0]),
+        bottom_law=marching.LinearLaw(LAW.K_tc, LAW.K_rc, 0, LAW.K_te, LAW.K_re),
+        elements=ANNULI,
+        is_trochoidal=True,
+    )
+    assert wanted[0] > 2
+    np.testing.assert_allclose(found[[0, 2]], wanted[[0, 2]], rtol=3e-2)
 
 
 @pytest.mark.slow

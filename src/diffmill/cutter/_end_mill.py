@@ -196,6 +196,7 @@ class EndMill(AbstractCutter):
         points: Float[Array, "*#place 3"],
         tip: Float[Array, "*#place 3"],
         axis: Float[Array, "*#place 3"],
+        offset: Float[Array, "*#place"] | None = None,
     ) -> Float[Array, "... 3"]:
         """Outward normal: the unit gradient of `level`.
 
@@ -203,6 +204,7 @@ class EndMill(AbstractCutter):
             points: Points [m], shape (..., 3).
             tip: Tool tip [m], shape (..., 3), broadcast against the points.
             axis: Unit tool axis, shape (..., 3), broadcast.
+            offset: Radial offset of the edge [m], shape (...), broadcast.
 
         Returns:
             Unit vectors, shape (..., 3); on the tool axis above the bottom any that
@@ -210,7 +212,7 @@ class EndMill(AbstractCutter):
 
         Differentiability: as `level`, away from the tool axis and the rim.
         """
-        return _profile.normal(points, tip, axis, self._sizes(points.dtype))
+        return _profile.normal(points, tip, axis, self._sizes(points.dtype, offset))
 
     def intersect(
         self,

@@ -8,9 +8,10 @@ the tool was then, a descent d higher:
     h = d + (r - r') tan(delta),
 
 less on the leading side, more on the trailing one, as far as the earlier end covered
-it: what lies beyond is the side's. And it finds no more than stands there: behind the
-corner of a level cut nothing, in a ramp what the tool has descended by since its corner
-passed. The material above the end is looked up column by column.
+it: what lies beyond is the side's. The way and the descent d are those since the tooth
+before met the annulus, as teeth go on trochoids. And it finds no more than stands
+there: behind the corner of a level cut nothing, in a ramp what the tool has descended
+by since its corner passed. The material above the end is looked up column by column.
 """
 
 import math
@@ -29,6 +30,7 @@ from .._chip import (
     edge_contact,
     freeze_derivative_at_standstill,
     safe_norm,
+    travel_share,
 )
 from .._process import Process, Substeps, rotation_angles
 from .._state import ProcessState
@@ -79,7 +81,7 @@ class BottomEdges(eqx.Module):
         e = _by_annulus(outward)
         radius = self._radii(cutter, now.dtype)[None, None, None]
         tip, old = (x[:, None, None, None] for x in (now, before))
-        chip, _ = _earlier_end(cutter, radius, e, tip, old)
+        chip, _ = _earlier_end(cutter, radius, e, tip, old, pitch)
         layer = jnp.maximum(chip, _LEAST_LAYER)
         at = [
             (tip[..., 0] + e.sin * radius - stock.origin[0]) / stock.spacing,
@@ -165,8 +167,11 @@ class BottomEdges(eqx.Module):
         nothing = 2 * cutter.nominal_radius
         chip = jnp.full(weight.shape, nothing, tip.dtype)
         is_first = jnp.zeros(weight.shape, bool)
+        pitch = 2 * math.pi / cutter.flute_count
         for k in range(old.shape[0]):
-            left, is_under = _earlier_end(cutter, radius[None, None], e, tip, old[k])
+            left, is_under = _earlier_end(
+                cutter, radius[None, None], e, tip, old[k], (k + 1) * pitch
+            )
             is_first = is_under if k == 0 else is_first
             chip = jnp.where(is_under, jnp.minimum(chip, left), chip)
         feed = safe_norm(old[0] - tip)
@@ -247,15 +252,22 @@ def _earlier_end(
     outward: RadialDirection,
     tip: Float[Array, "*#tip 3"],
     old: Float[Array, "*#tip 3"],
+    turn: float,
 ) -> tuple[Float[Array, "*place annulus"], Bool[Array, "*place annulus"]]:
-    """Height of an earlier end above annuli [m], and the parts that it covered."""
-    moved = tip - old
-    across = (radius * outward.sin + moved[..., 0]) ** 2
-    across = across + (radius * outward.cos + moved[..., 1]) ** 2
+    """Height of an earlier end above annuli [m], and the parts that it covered.
+
+    That of the tooth that was at the same angle `turn` ago [rad], when it met them.
+    """
+    x, y, z = jnp.moveaxis(tip - old, -1, 0)
+    # The offset of the earlier axis points the other way.
+    sideways = (outward.sin * y - outward.cos * x) / radius
+    share = travel_share(sideways, 1 / turn)
+    across = (radius * outward.sin + x * share) ** 2
+    across = across + (radius * outward.cos + y * share) ** 2
     dish = jnp.tan(jnp.asarray(cutter.dish_angle, radius.dtype))
     inward = radius - jnp.sqrt(across + _LEAST_LAYER**2)
     is_under = across < _radius(cutter, radius.dtype) ** 2
-    return inward * dish - moved[..., 2], is_under
+    return inward * dish - z * share, is_under
 
 
 def _since_corner(

@@ -374,16 +374,15 @@ class EdgeElementsInSpace(AbstractEngagement):
         per_travel = chip / displacement_norm(newest - pose.tip)
         descent = jnp.full_like(chip[..., :n], nothing)
         covered = jnp.zeros(descent.shape, bool)
-        turns = 2 * math.pi / cutter.flute_count * cutter.delays(chip.dtype)
-        inverse_turns = 1 / jnp.asarray(turns)
+        turns = jnp.asarray(
+            2 * math.pi / cutter.flute_count * cutter.delays(chip.dtype)
+        )
         for k in range(1, cutter.flute_count + 1):
-            old = _of_samples(earlier[k - 1], tooth)
+            met = functools.partial(
+                _where_met, elements, pose, samples, earlier[k - 1], turns[k - 1]
+            )
+            sides = met(slice(n, None))
             # Teeth stand out by their run-out: what one takes the next does not find.
-            sides = old if old.tip.shape[2] == 1 else old[:, :, n:]
-            inverse_turn = inverse_turns[k - 1, 0]
-            if not cutter.has_even_pitch:
-                inverse_turn = inverse_turns[k - 1][tooth[..., n:]]
-            sides = _where_met(elements, pose, samples.outward, sides, inverse_turn)
             left = _walk(cutter, points[..., n:, :], normals[..., n:, :], sides, 2)
             if offsets is not None:
                 ahead = offsets - jnp.roll(offsets, -k, axis=0)
@@ -393,8 +392,7 @@ class EdgeElementsInSpace(AbstractEngagement):
             way = displacement_norm(sides.tip - pose.tip[None, None, None])
             per_travel = per_travel.at[..., n:].min(left / way)
             if n > 0:
-                ends = old if old.tip.shape[2] == 1 else old[:, :, :n]
-                down, is_under = _descent(cutter, points[..., :n, :], ends)
+                down, is_under = _descent(cutter, points[..., :n, :], met(slice(n)))
                 covered = is_under if k == 1 else covered
                 descent = jnp.minimum(descent, jnp.where(is_under, down, nothing))
         for i in range(decimated.tip.shape[0]):
@@ -435,32 +433,36 @@ def _lead(
 def _where_met(
     elements: EdgeElements,
     pose: Pose,
-    outward: RadialDirection,
-    old: Pose,
-    inverse_turn: Float[Array, "*#sample"],
+    samples: EdgeSamples,
+    passed: Pose,
+    turns: Float[Array, " tooth"],
+    part: slice,
 ) -> Pose:
-    """Poses when earlier teeth met the normals of the side and the corner.
+    """Poses when earlier teeth met the normals of a part of the edge.
 
     Args:
-        elements: The edge elements, those of the bottom first.
+        elements: The edge elements.
         pose: Pose of the tool, shape (3,).
-        outward: Directions of all samples, shape (angle, leading, element).
-        old: Poses when they stood at the same angle, broadcast against
-            (angle, leading, side, 3).
-        inverse_turn: 1 / Theta, of the angle between the teeth [1/rad], broadcast.
+        samples: All samples.
+        passed: Poses when they stood at the same angle, shape (3,) or (tooth, 3).
+        turns: Angle Theta between them and each tooth [rad], shape (tooth,).
+        part: Elements of the part.
 
     Returns:
-        The poses, shape (angle, leading, side, 3).
+        The poses; their tips are of shape (angle, leading, part, 3).
     """
-    n = elements.bottom_count
+    tooth = samples.tooth[..., part]
+    is_even = passed.tip.ndim == 1
+    old = passed[None, None, None] if is_even else passed[tooth]
     offset = old.tip - pose.tip[None, None, None]
     # In tool axes; t = (cos, -sin, 0).
     x, y, _ = jnp.moveaxis(offset @ Pose.frame(pose.direction()), -1, 0)
-    radius = jnp.maximum(elements.radius[n:], _LEAST_RADIUS)[None, None]
-    sideways = (x * outward.cos[..., n:] - y * outward.sin[..., n:]) / radius
-    share = travel_share(sideways, inverse_turn)[..., None]
+    radius = jnp.maximum(elements.radius[part], _LEAST_RADIUS)[None, None]
+    sin, cos = samples.outward.sin[..., part], samples.outward.cos[..., part]
+    sideways = (x * cos - y * sin) / radius
+    share = travel_share(sideways, 1 / (turns[0] if is_even else turns[tooth]))
     return eqx.tree_at(
-        lambda p: p.tip, old, pose.tip[None, None, None] + offset * share
+        lambda p: p.tip, old, pose.tip[None, None, None] + offset * share[..., None]
     )
 
 
@@ -499,16 +501,6 @@ def _newest(earlier: Pose) -> Float[Array, " 3"]:
         return tip
     # From one of them on: a tool that stands still has been just there.
     return tip[0] + jnp.mean(tip - tip[:1], axis=0)
-
-
-def _of_samples(passed: Pose, tooth: Int[Array, "angle leading element"]) -> Pose:
-    """Poses when the tooth before that of each sample passed.
-
-    The result broadcasts against (angle, leading, element, 3).
-    """
-    if passed.tip.ndim == 1:
-        return passed[None, None, None]
-    return passed[tooth]
 
 
 def _edge_offsets(

@@ -165,11 +165,11 @@ def run_in_segments(
     _add_volumes(by_shank, last, removed.pose, removed.by_shank)
     has_failed[last] |= bool(end.has_failed)
     pieces = StockPieces.of(end.stock).joined(place.apart)
-    room = map(max, pieces.most_on_a_ray(), process.stock.interval_counts)
+    counts = map(max, pieces.most_on_a_ray(), process.stock.interval_counts)
     removal = Removal(
         removed_volume=on_device(volume),
         shank_volume=on_device(by_shank),
-        stock=pieces.stock(end.stock, tuple(room)),
+        stock=pieces.stock(end.stock, tuple(counts)),
         has_failed=on_device(has_failed),
         result=outcome(end, jnp.asarray(is_finite)),
     )
@@ -227,12 +227,10 @@ def _ran(
             continue
         if not bool(ran.state.process.has_overflow):
             break
-        more = plan.more_slots(counts)
+        more = _more(counts, plan)
         if more is None:
             break
         counts = more
-        # No segment has as few slots again.
-        _segment.forget()
     outputs = SegmentOutputs(
         rows=rows.of_segment(told, ran),
         removed=ran.removed,
@@ -249,10 +247,14 @@ def _enough(
     """Slots of a ray along each axis with room for so many pieces."""
     while any(n > count for n, count in zip(needed, counts, strict=True)):
         # Where no more may be asked for, what is there must have room.
-        counts = plan.more_slots(counts) or tuple(map(max, needed, counts))
-        # No segment has as few slots again.
-        _segment.forget()
+        counts = _more(counts, plan) or tuple(map(max, needed, counts))
     return counts
+
+
+def _more(counts: Sequence[int], plan: SegmentPlan) -> Sequence[int] | None:
+    """More slots, or None; no segment has as few again."""
+    _segment.forget()
+    return plan.more_slots(counts)
 
 
 def _pieces(place: RunPlace) -> StockPieces:

@@ -199,11 +199,11 @@ def _ends_from_poses(
     for f, n in enumerate(near):
         cut_by = every[:, f]
         frozen = cut_by.frozen()
-        slope = cutter.normal(n.places, frozen.tip, frozen.direction())[..., f]
-        slope = jax.lax.stop_gradient(slope)
+        offset = _offset_of_ends(cutter, n.places, frozen)
+        normal = cutter.normal(n.places, frozen.tip, frozen.direction(), offset)
+        slope = jax.lax.stop_gradient(normal[..., f])
         away = jnp.where(slope < 0, -_GRAZING, _GRAZING)
         slope = jnp.where(jnp.abs(slope) < _GRAZING, away, slope)
-        offset = _offset_of_ends(cutter, n.places, frozen)
         end = -cutter.level(n.places, cut_by.tip, cut_by.direction(), offset) / slope
         ends.append(jnp.where(n.pose >= 0, end, track.raw_ends(f, n.at, n.pose)))
     return ends

@@ -115,12 +115,16 @@ class RemovalWindow(eqx.Module):
         return cls((counts[0], counts[1], counts[2]), slack, length, has_shank)
 
     def reach(self, spacing: float) -> Float[np.ndarray, " 3"]:
-        """Distance from a tip along each axis behind which no window lies [m], (3,)."""
-        # An upright tool stands in the middle of its window, another one at an end.
+        """Distance from a tip along each axis beyond which it meets no ray [m], (3,).
+
+        Args:
+            spacing: Distance between rays [m].
+        """
         sizes = np.array(self.sizes)
-        return spacing * (
-            np.where([self.length == 0] * 2 + [False], sizes // 2, sizes) + 2
-        )
+        if self.length == 0:
+            # An upright tool stands in the middle of its window.
+            sizes[:2] //= 2
+        return spacing * (sizes + 2)
 
     def remove_poses(
         self,
