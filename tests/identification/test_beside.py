@@ -55,6 +55,7 @@ def test_uneven_and_lost_samples_do_not_hinder_the_axes(what):
     assert fit.explained > 0.995
 
 
+@pytest.mark.slow
 def test_a_record_that_its_gaps_leave_empty_says_so():
     _, _, force = record(2e3)
     bursts = np.arange(TURNS + 1) * 2 * PERIOD

@@ -242,6 +242,7 @@ def trochoid_force(time, feed, tooth_count=2):
     return force
 
 
+@pytest.mark.slow
 def test_a_straight_cut_is_simulated_as_finely_as_its_coefficients_ask():
     """Rays 1.4 times as far apart put the coefficients of the edge off by 6 %."""
     cutter = ct.flat_end_mill(2 * R, 2)

@@ -33,7 +33,7 @@ def rms(rows):
 
 
 @pytest.mark.parametrize(
-    "kind", [pytest.param(x, marks=() if x == "elastic" else SLOW) for x in ALIKE]
+    "kind", [pytest.param(x, marks=() if x == "modes" else SLOW) for x in ALIKE]
 )
 def test_a_held_engagement_gives_the_run_of_every_tooth(tmp_path, kind):
     job = job_of(tmp_path, kind)

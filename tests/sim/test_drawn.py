@@ -52,6 +52,7 @@ def test_a_draw_of_no_size_is_the_model(job):
     np.testing.assert_allclose(found.median("program"), wanted, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_machine_may_need_more_intervals_than_the_model(job):
     thin = job.with_intervals((1, 1, 1))
     tips = np.asarray(job.path.positions)
@@ -253,6 +254,7 @@ def test_servos_are_off_each_by_its_share(tmp_path):
         dm.sim.drawn_machine(ideal, sizes)
 
 
+@pytest.mark.slow
 def test_run_out_of_a_drawn_machine_cuts(tmp_path):
     job = load(tmp_path)
     machine = dm.sim.drawn_machine(job, dataclasses.replace(NONE, runout=2e-5))

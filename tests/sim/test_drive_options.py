@@ -200,12 +200,14 @@ def test_a_cycle_of_friction_takes_the_energy_of_its_loop():
     friction = sticking(F_c).friction
     assert friction is not None
     way = X * np.sin(2 * np.pi * np.arange(2 * n + 1) / n)
-    z, work = jnp.zeros(1), 0.0
-    for k, travel in enumerate(np.diff(way)):
-        rate = jnp.asarray([travel])
+
+    def step(z, travel):
+        rate = travel[None]
         brake = friction.brake(z, rate, 0 * rate, jnp.ones(()), jnp.ones(()))
-        z = friction.moved_bristles(z, rate)
-        work += float(((brake.impulse + 0 * brake.slope) * rate)[0]) if k >= n else 0.0
+        return friction.moved_bristles(z, rate), (brake.impulse * rate)[0]
+
+    _, works = jax.lax.scan(step, jnp.zeros(1), jnp.asarray(np.diff(way)))
+    work = np.sum(works[n:])
     assert_allclose(work, 4 * F_c * (X - YIELD), rtol=1e-4)
 
 

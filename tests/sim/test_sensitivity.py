@@ -194,6 +194,7 @@ def test_scaling_reaches_every_parameter_and_no_other(job):
     )
 
 
+@pytest.mark.slow
 def test_a_mismatch_is_the_run_of_a_scaled_job(job):
     solution = simulate(job)
     found = {x.kind: x for x in sim.mismatch(job, solution, 0.2)}
