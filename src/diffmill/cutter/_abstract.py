@@ -116,7 +116,6 @@ class AbstractCutter(eqx.Module):
         points: Float[Array, "*#place 3"],
         tip: Float[Array, "*#place 3"],
         axis: Float[Array, "*#place 3"],
-        offset: Float[Array, "*#place"] | None = None,
     ) -> Float[Array, "... 3"]:
         """Outward normal: the unit gradient of the signed distance."""
 

@@ -196,7 +196,6 @@ class EndMill(AbstractCutter):
         points: Float[Array, "*#place 3"],
         tip: Float[Array, "*#place 3"],
         axis: Float[Array, "*#place 3"],
-        offset: Float[Array, "*#place"] | None = None,
     ) -> Float[Array, "... 3"]:
         """Outward normal: the unit gradient of `level`.
 
@@ -204,7 +203,6 @@ class EndMill(AbstractCutter):
             points: Points [m], shape (..., 3).
             tip: Tool tip [m], shape (..., 3), broadcast against the points.
             axis: Unit tool axis, shape (..., 3), broadcast.
-            offset: Radial offset of the edge [m], shape (...), broadcast.
 
         Returns:
             Unit vectors, shape (..., 3); on the tool axis above the bottom any that
@@ -212,7 +210,7 @@ class EndMill(AbstractCutter):
 
         Differentiability: as `level`, away from the tool axis and the rim.
         """
-        return _profile.normal(points, tip, axis, self._sizes(points.dtype, offset))
+        return _profile.normal(points, tip, axis, self._sizes(points.dtype))
 
     def intersect(
         self,

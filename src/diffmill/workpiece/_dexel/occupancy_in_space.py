@@ -21,6 +21,7 @@ pass left is half in and half out, however it is smoothed. There the chip decide
 next to no material in it, the edge is out.
 """
 
+import functools
 from collections.abc import Sequence
 
 import equinox as eqx
@@ -191,43 +192,60 @@ def _ends_from_poses(
     """Ends that move with the poses that cut them, but for a constant [m].
 
     An end stays on the surface of its pose: level(end; pose) = 0, so it moves by
-    -d(level) / n along its ray, n the normal's part along the ray.
+    -d(level) / n along its ray, n the slope of the level along the ray.
     """
     # One gather for all: its transpose then adds into the table only once.
     every = Rematerialised.read(track.cut_by(jnp.stack([n.pose for n in near], axis=1)))
     ends = []
     for f, n in enumerate(near):
         cut_by = every[:, f]
-        frozen = cut_by.frozen()
-        offset = _offset_of_ends(cutter, n.places, frozen)
-        normal = cutter.normal(n.places, frozen.tip, frozen.direction(), offset)
-        slope = jax.lax.stop_gradient(normal[..., f])
+        tooth = _tooth_of_ends(cutter, n.places, cut_by.frozen())
+        level = functools.partial(_level, cutter, pose=cut_by, tooth=tooth)
+        along = jnp.zeros_like(n.places).at[..., f].set(1)
+        _, slope = jax.jvp(level, (n.places,), (along,))
+        slope = jax.lax.stop_gradient(slope)
         away = jnp.where(slope < 0, -_GRAZING, _GRAZING)
         slope = jnp.where(jnp.abs(slope) < _GRAZING, away, slope)
-        end = -cutter.level(n.places, cut_by.tip, cut_by.direction(), offset) / slope
+        end = -level(n.places) / slope
         ends.append(jnp.where(n.pose >= 0, end, track.raw_ends(f, n.at, n.pose)))
     return ends
 
 
-def _offset_of_ends(
-    cutter: AbstractCutter, places: Float[Array, "point 4 3"], cut_by: Pose
-) -> Float[Array, "point 4"] | None:
-    """Run-out of the tooth that left each end [m].
+def _level(
+    cutter: AbstractCutter,
+    places: Float[Array, "point 4 3"],
+    pose: Pose,
+    tooth: Int[Array, "point 4"] | None,
+) -> Float[Array, "point 4"]:
+    """Signed distance of places to what an edge of the cutter sweeps [m]."""
+    axis = pose.direction()
+    if tooth is None:
+        return cutter.level(places, pose.tip, axis)
+    offset = jnp.take_along_axis(_offsets(cutter, places, pose), tooth[None], axis=0)
+    return cutter.level(places, pose.tip, axis, offset[0])
 
-    It is the one whose edge comes nearest to the end. None without run-out.
-    """
+
+def _offsets(
+    cutter: AbstractCutter, places: Float[Array, "point 4 3"], pose: Pose
+) -> Float[Array, "tooth point 4"]:
+    """Run-out of each tooth at the height of places [m]."""
+    height = jnp.sum((places - pose.tip) * pose.direction(), axis=-1)
+    offsets = cutter.edge_offsets(height)
+    return jnp.broadcast_to(offsets, (offsets.shape[0], *height.shape))
+
+
+def _tooth_of_ends(
+    cutter: AbstractCutter, places: Float[Array, "point 4 3"], cut_by: Pose
+) -> Int[Array, "point 4"] | None:
+    """Tooth that left each end: its edge comes nearest. None without run-out."""
     if not cutter.has_runout:
         return None
     axis = cut_by.direction()
-    height = jnp.sum((places - cut_by.tip) * axis, axis=-1)
     normal = cutter.normal(places, cut_by.tip, axis)
     sin_kappa = jnp.sqrt(jnp.maximum(1 - jnp.sum(normal * axis, axis=-1) ** 2, 0))
-    offsets = cutter.edge_offsets(jax.lax.stop_gradient(height))
-    offsets = jnp.broadcast_to(offsets, (offsets.shape[0], *height.shape))
     off = cutter.level(places, cut_by.tip, axis)
-    away = jax.lax.stop_gradient(jnp.abs(sin_kappa[None] * offsets - off[None]))
-    nearest = jnp.argmin(away, axis=0)[None]
-    return jnp.take_along_axis(offsets, nearest, axis=0)[0]
+    offsets = _offsets(cutter, places, cut_by)
+    return jnp.argmin(jnp.abs(sin_kappa[None] * offsets - off[None]), axis=0)
 
 
 def _combine(
