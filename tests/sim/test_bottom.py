@@ -185,6 +185,8 @@ def test_a_ramp_cuts_with_what_has_descended_below_its_corner(slope):
 
 def test_teeth_of_the_end_go_on_trochoids_in_a_ramp():
     # Two circles a period apart leave a chip as thick all round: no force in the plane.
+    names = ("K_tc", "K_rc", "K_te", "K_re")
+    K_tc, K_rc, K_te, K_re = (float(getattr(LAW, name)) for name in names)
     step = np.array([FEED, 0, -0.3 * FEED])
     found = of_the_end(line(step, (0, 0, -0.5e-3)), dish=0.0)
     wanted = marching.mean_force(
@@ -193,7 +195,7 @@ def test_teeth_of_the_end_go_on_trochoids_in_a_ramp():
         halfspaces.half_space(np.array([0, 0, 1.0]), 5e-3),
         step,
         np.array([0, 0, 1.0]),
-        bottom_law=marching.LinearLaw(LAW.K_tc, LAW.K_rc, 0, LAW.K_te, LAW.K_re),
+        bottom_law=marching.LinearLaw(K_tc, K_rc, 0, K_te, K_re),
         elements=ANNULI,
         is_trochoidal=True,
     )
