@@ -32,6 +32,8 @@ SHORT = {
 COSTS = ("wall_time_s", "forward_runs", "linearisations")
 # Python itself, while it starts, dies of a signal as any other program does [s].
 STARTING = 3.0
+# What follows the last line of a run, the end of Python among it, takes less [s].
+ENDING = 1.0
 
 
 def left_parts(folder):
@@ -88,7 +90,12 @@ class Killed:
             assert process.returncode == 0, said
             return False
         process.send_signal(number)
+        begin = time.perf_counter()
         _, said = process.communicate()
+        if process.returncode == 0:
+            # It was at its end, and did not go on in spite of the signal.
+            assert self.is_done() and time.perf_counter() - begin < ENDING, said
+            return False
         self.check_end(process.returncode, said, number, moment)
         return True
 
