@@ -19,6 +19,8 @@ _BETTER_AXES = 3.0
 # Where next to nothing is left to explain, nothing can be much better.
 _ALL_EXPLAINED = 0.999
 _STARTS = 20
+# Residuals that differ by less than this share of them are alike.
+_ALIKE = 1e-6
 
 Turn = Float[np.ndarray, "3 3"]
 Turns = Float[np.ndarray, "pose 3 3"]
@@ -68,7 +70,8 @@ def better_axes(
     if seen.size <= columns.shape[2]:
         return AxesCheck(None, False)
     best, better = _cost(columns, seen) / _BETTER_AXES, None
-    for T in signed_permutations():
+    # Turned and mirrored axes say the same of forces alone: turns come first.
+    for T in sorted(signed_permutations(), key=lambda T: np.linalg.det(T) < 0):
         if np.array_equal(T, np.eye(3)):
             continue
         # Moments and rotations of mirrored axes change their sign once more.
@@ -82,7 +85,7 @@ def better_axes(
         )
         for one, values, what in cases:
             cost = _cost(one, values)
-            if cost < best:
+            if cost < (1 - _ALIKE) * best:
                 best, better = cost, f"{what} read as ({', '.join(axes_names(T))})"
     return AxesCheck(better, True)
 

@@ -5,10 +5,13 @@ each a number that cannot be negative. The share of gravity and load in the stif
 some per mille on an industrial arm, is left out as in `robot.cartesian_compliance`.
 
 Friction of a joint holds back a part of its torque tau_i, and what yields behind the
-joints, as a flange, moves the tool by c_f F. Where the table shows them, by an F test,
-both are fitted beside the springs, with unknowns f_i and c_f:
+joints, as a flange, moves the tool by c_f F. Where an F test sees a sign of them, the
+flange alone or both are fitted beside the springs, with unknowns c_f and f_i:
 
     d = sum_i (c_i tau_i - f_i sign(tau_i)) J_i + c_f F,  tau_i = J_i^T w
+
+What is left out puts the springs off, and an unknown too many only widens their
+intervals: so a weak sign is enough.
 """
 
 from collections.abc import Sequence
@@ -41,10 +44,10 @@ _EXPLAINED = 0.7
 _OUTLIERS = 0.3
 # A column smaller than this share of the largest is rounding.
 _ROUNDING = 1e-9
-# Friction and a flange that yields are fitted if chance makes their part of the
-# displacement as large once in so many tables, and there are so many numbers per
-# unknown.
-_BY_CHANCE, _NUMBERS = 0.05, 3
+# A flange that yields and friction are fitted if chance makes their part of the
+# displacement as large in this share of tables at most, and there are so many numbers
+# per unknown.
+_BY_CHANCE, _NUMBERS = 0.2, 3
 
 
 class JointStiffnessFit(eqx.Module):
@@ -75,8 +78,9 @@ class JointStiffnessFit(eqx.Module):
         residual: Measured minus fitted displacement, shape (pose, component).
         offset: Constant displacement that was fitted too, in base axes, shape
             (component,), or None.
-        has_friction: Whether friction and a spring behind the joints were fitted too,
-            since the table shows them.
+        has_flange: Whether a spring behind the joints was fitted too, since the table
+            has a sign of it.
+        has_friction: Whether their friction was, likewise, beside that spring.
         noise: "absolute" or "relative" (to the displacement), the likelier scatter.
         spread: Standard deviation of one displacement of median size [m]; infinite if
             there are no more numbers than unknowns.
@@ -98,6 +102,7 @@ class JointStiffnessFit(eqx.Module):
     is_consistent: bool
     residual: Float[np.ndarray, "pose component"]
     offset: Float[np.ndarray, " component"] | None
+    has_flange: bool
     has_friction: bool
     noise: str = eqx.field(static=True)
     spread: float
@@ -182,7 +187,7 @@ def fit_joint_stiffness(
     yielding = _yielding_columns(robot, angles, load, displacement_frame)
     yielding = yielding[:, : moved.shape[1]] * scale[None, :, None]
 
-    def explained(fit: GroupFit, constant: Columns, has_friction: bool) -> _Explained:
+    def explained(fit: GroupFit, constant: Columns, added: int) -> _Explained:
         # Where too many rows contradict, all of them count.
         used = ~fit.is_outlier | _contradicts(fit)
         centred = moved - constant @ fit.x[robot.joint_count :]
@@ -191,28 +196,31 @@ def fit_joint_stiffness(
         share = 1.0 - left / max(square, 1e-300)
         axes = better_axes(columns_of, load, centred, share, load_frame)
         return _Explained(
-            columns[used], centred[used], share, min_explained, axes, has_friction
+            columns[used], centred[used], share, min_explained, axes, added
         )
 
-    table = explained(fit, constant, False)
+    table = explained(fit, constant, 0)
     # In wrong axes friction would explain what springs do not.
     if table.is_suited and not _contradicts(fit):
-        fit, has_friction = _with_friction(fit, wide, is_free, yielding, moved)
-        if has_friction:
-            constant = np.concatenate([constant, yielding], axis=2)
-            table = explained(fit, constant, True)
+        fit, added = _with_yielding(fit, wide, is_free, yielding, moved)
+        if added:
+            constant = np.concatenate([constant, yielding[:, :, :added]], axis=2)
+            table = explained(fit, constant, added)
     return _report(robot, table, fit, scale, max_relative_error)
 
 
 class _Explained(NamedTuple):
-    """Rows that count, with the share of them that springs explain."""
+    """Rows that count, with the share of them that springs explain.
+
+    `added` is the number of unknowns beside the springs: 1 is the flange alone.
+    """
 
     columns: Columns
     moved: Values
     share: float
     least: float
     axes: AxesCheck
-    has_friction: bool
+    added: int
 
     @property
     def is_suited(self) -> bool:
@@ -252,7 +260,7 @@ def _yielding_columns(
     wrench: Float[np.ndarray, "pose 6"],
     frame: Turns | None,
 ) -> Float[np.ndarray, "pose 6 unknown"]:
-    """Displacement of the tool per friction of each joint, and of what is behind them.
+    """Displacement of the tool per flange that yields, and per friction of each joint.
 
     Args:
         robot: The robot.
@@ -261,34 +269,58 @@ def _yielding_columns(
         frame: Rotations into base of the axes of the result, None for base.
 
     Returns:
-        -J_i sign(tau_i) of joints that the load turns, and F, (pose, 6, joint + 1).
+        F, and -J_i sign(tau_i) of joints that the load turns, (pose, 6, 1 + joint).
     """
     J = np.asarray(_jacobians(robot, jnp.asarray(q, robot.dtype)), np.float64)
     torque = np.einsum("pcj,pc->pj", J, wrench)
     is_turned = np.abs(torque) > _ROUNDING * np.abs(torque).max(initial=0.0)
     friction = -J * (np.sign(torque) * is_turned)[:, None]
     force = np.pad(wrench[:, :3], ((0, 0), (0, 3)))
-    return _in_axes(np.concatenate([friction, force[..., None]], axis=2), frame)
+    return _in_axes(np.concatenate([force[..., None], friction], axis=2), frame)
 
 
-def _with_friction(
+def _with_yielding(
     fit: GroupFit,
     columns: Columns,
     is_free: Bool[np.ndarray, " unknown"],
     yielding: Float[np.ndarray, "group row yielding"],
     moved: Values,
-) -> tuple[GroupFit, bool]:
-    """Fit with friction and a flange that yields, if the table shows them.
+) -> tuple[GroupFit, int]:
+    """Fit with a flange that yields, or with friction too, if the table shows them.
+
+    Of the two it is the one that chance explains less.
 
     Args:
         fit: The fit without.
         columns: Its columns, shape (pose, component, unknown).
         is_free: Which of its unknowns may be negative, shape (unknown,).
-        yielding: Columns of friction and flange, likewise.
+        yielding: Columns of the flange and of friction, likewise.
         moved: Displacements, shape (pose, component).
 
     Returns:
-        The fit, and whether it has them.
+        The fit, and how many columns of `yielding` it has.
+    """
+    chances = {}
+    for added in (1, yielding.shape[2]):
+        wide = np.concatenate([columns, yielding[:, :, :added]], axis=2)
+        chances[added] = _chance(fit, columns, wide, moved)
+    added = min(chances, key=lambda count: chances[count])
+    if chances[added] > _BY_CHANCE:
+        return fit, 0
+    wide = np.concatenate([columns, yielding[:, :, :added]], axis=2)
+    is_free = np.append(is_free, np.ones(added, bool))
+    return fit_groups(wide, moved, is_free, noise=fit.noise), added
+
+
+def _chance(
+    fit: GroupFit,
+    columns: Columns,
+    wide: Float[np.ndarray, "group row wider"],
+    moved: Values,
+) -> float:
+    """Probability that chance lowers the misfit as much as more columns do [-].
+
+    1 where they add nothing, or there are too few numbers for them.
     """
     from scipy.stats import f as f_distribution
 
@@ -297,24 +329,20 @@ def _with_friction(
     known = np.isfinite(moved[used]).reshape(-1)
     right = (moved[used] * weight).reshape(-1)[known]
 
-    def misfit(wide: Float[np.ndarray, "pose component any"]) -> tuple[float, int]:
-        rows = (wide[used] * weight[..., None]).reshape(-1, wide.shape[2])[known]
+    def misfit(A: Float[np.ndarray, "group row any"]) -> tuple[float, int]:
+        rows = (A[used] * weight[..., None]).reshape(-1, A.shape[2])[known]
         size = np.linalg.norm(rows, axis=0)
         rows = rows / np.where(size > 0, size, 1.0)
         x, _, rank, _ = np.linalg.lstsq(rows, right, rcond=_ROUNDING)
         return float(np.sum((right - rows @ x) ** 2)), int(rank)
 
-    both = np.concatenate([columns, yielding], axis=2)
-    (before, few), (after, many) = misfit(columns), misfit(both)
+    (before, few), (after, many) = misfit(columns), misfit(wide)
     freedom = len(right) - many
-    if many == few or len(right) < _NUMBERS * both.shape[2]:
-        return fit, False
+    if many == few or len(right) < _NUMBERS * wide.shape[2]:
+        return 1.0
     exact = 1e-20 * float(np.sum(right**2))
     ratio = (before - after) / (many - few) / max(after / freedom, exact)
-    if f_distribution.sf(ratio, many - few, freedom) > _BY_CHANCE:
-        return fit, False
-    is_free = np.append(is_free, np.ones(yielding.shape[2], bool))
-    return fit_groups(both, moved, is_free, noise=fit.noise), True
+    return float(f_distribution.sf(ratio, many - few, freedom))
 
 
 def constant_columns(moved: Values, frame: Turns | None) -> Columns:
@@ -412,8 +440,7 @@ def _report(
     count = robot.joint_count
     c = fit.x[:count]
     errors = np.sqrt(np.diagonal(fit.covariance)[:count])
-    yielding = (count + 1) * table.has_friction
-    offset = fit.x[count : len(fit.x) - yielding]
+    offset = fit.x[count : len(fit.x) - table.added]
     offset = offset if offset.size else None
     too_many = _contradicts(fit)
     parts = np.nansum(columns * moved[..., None], axis=(0, 1))
@@ -443,7 +470,8 @@ def _report(
         is_consistent=is_consistent,
         residual=fit.residual / scale[None],
         offset=None if offset is None else offset / scale,
-        has_friction=table.has_friction,
+        has_flange=table.added > 0,
+        has_friction=table.added > 1,
         noise=fit.noise,
         spread=fit.spread,
         joint_names=robot.joint_names,
@@ -461,10 +489,13 @@ def _notes(
     axes, explained, least = table.axes, table.share, table.least
     too_many = _contradicts(fit)
     notes = []
-    if table.has_friction:
+    if table.added:
+        them = "a spring behind them was"
+        if table.added > 1:
+            them = "their friction and a spring behind them were"
         notes.append(
-            "Friction of the joints and a spring behind them were fitted beside the "
-            "springs, since the table shows them; intervals are wider by that."
+            f"Beside the springs of the joints, {them} fitted, since the table has a "
+            "sign of it; intervals are wider by that."
         )
     if explained < least:
         notes.append(
