@@ -6,7 +6,7 @@ A language has a `Grammar`; `Parser` makes an `Expression` of its text, a functi
 
 import functools
 import re
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, TypeAlias
 
@@ -160,6 +160,7 @@ class Variables:
 
 # Types of values that have others in them; large ones are gone through often.
 _HOLDERS = (list, dict)
+_HOLDER_TYPES = frozenset(_HOLDERS)
 _TOO_MANY = f"the program keeps more than {MOST_VALUES} values."
 
 
@@ -171,11 +172,14 @@ def _count(value: Value, depth: int = 0) -> int:
         message = f"values are in each other more than {_DEEPEST_OPERAND} deep."
         raise ExpressionError("", message)
     count = 1 + len(value)
-    for part in value.values() if isinstance(value, dict) else value:
+    parts = value.values() if isinstance(value, dict) else value
+    for part in () if _are_numbers(parts) else parts:
         if isinstance(part, _HOLDERS):
             count += _count(part, depth + 1) - 1
         if count > MOST_VALUES:
-            raise ExpressionError("", _TOO_MANY)
+            break
+    if count > MOST_VALUES:
+        raise ExpressionError("", _TOO_MANY)
     return count
 
 
@@ -229,8 +233,15 @@ def _part(
     return value, int(index) - 1
 
 
+def _are_numbers(parts: Iterable[Value]) -> bool:
+    """True if no part has others in it; an array of numbers is long, and has none."""
+    return _HOLDER_TYPES.isdisjoint(map(type, parts))
+
+
 def _copied(value: Value) -> Value:
     if isinstance(value, list):
+        if _are_numbers(value):
+            return value.copy()
         return [_copied(x) if isinstance(x, _HOLDERS) else x for x in value]
     if isinstance(value, dict):
         # Most parts of a place are numbers.
